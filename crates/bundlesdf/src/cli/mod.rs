@@ -1,0 +1,225 @@
+//! Arguments, and what each command does with the library.
+
+mod check;
+mod demo;
+mod progress;
+mod run;
+
+use std::{
+    path::PathBuf,
+    process::ExitCode,
+    sync::{
+        Arc,
+        atomic::{AtomicBool, Ordering},
+    },
+};
+
+use clap::{Args, Parser, Subcommand, ValueEnum};
+
+/// Something in the input, the config or the output folder is wrong; the message says what.
+const EXIT_BAD_INPUT: u8 = 2;
+/// Ended by Ctrl-C or SIGTERM after the frame under way; everything up to it is written.
+const EXIT_INTERRUPTED: u8 = 130;
+
+const AFTER_HELP: &str = "\
+Examples:
+  bundlesdf demo                          track and reconstruct a built-in synthetic video
+  bundlesdf check VIDEO                   see what is in a folder and what is wrong with it
+  bundlesdf run VIDEO --out OUT           track VIDEO from the mask of its first frame
+  bundlesdf run VIDEO --out OUT --masks all --schedule realtime
+
+VIDEO is a folder with rgb/*.png|jpg, depth/*.png (16 bit, millimetres, registered to colour), masks/*.png (at least
+the first frame's; white = object) and cam_K.txt (3x3 intrinsics of the colour camera, pixels).
+
+Exit codes: 0 done, 2 an input, config or output that can't be used (the message names it), 130 interrupted.";
+
+/// Track an unknown object in an RGB-D video and reconstruct it as a mesh.
+#[derive(Parser, Debug)]
+#[command(name = "bundlesdf", version, about, after_help = AFTER_HELP, arg_required_else_help = true)]
+struct Cli {
+    #[command(subcommand)]
+    command: Command,
+    /// Log what happens inside: -v rounds and warnings, -vv every frame, -vvv timing of every span.
+    #[arg(short, long, action = clap::ArgAction::Count, global = true)]
+    verbose: u8,
+}
+
+#[derive(Subcommand, Debug)]
+enum Command {
+    /// Make a synthetic video, track and reconstruct its object, and score the result against the exact truth.
+    Demo(DemoArgs),
+    /// Track and reconstruct the object in a video.
+    Run(RunArgs),
+    /// Look at a video folder: what is in it, what is wrong, and what to do about it.
+    Check(CheckArgs),
+}
+
+#[derive(Args, Debug)]
+struct DemoArgs {
+    /// Folder for the results; an earlier demo in it is replaced.
+    #[arg(long, default_value = "bundlesdf-demo")]
+    out: PathBuf,
+    /// Track only the first N of the 120 frames.
+    #[arg(long, value_name = "N")]
+    frames: Option<usize>,
+    /// Give the tracker the first mask only, or the true masks of all frames.
+    #[arg(long, value_enum, default_value_t = DemoMasks::All)]
+    masks: DemoMasks,
+    #[command(flatten)]
+    how: HowArgs,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum DemoMasks {
+    /// The first frame's mask; the others are propagated.
+    First,
+    /// Every frame's true mask.
+    All,
+}
+
+#[derive(Args, Debug)]
+struct RunArgs {
+    /// Folder of the video.
+    input: PathBuf,
+    /// Folder for the results: ob_in_cam/, mesh.obj, mesh.ply, keyframes.json, run.json.
+    #[arg(long)]
+    out: PathBuf,
+    /// Replace the results of an earlier run in the folder.
+    #[arg(long)]
+    force: bool,
+    #[command(flatten)]
+    input_options: InputArgs,
+    #[command(flatten)]
+    how: HowArgs,
+}
+
+#[derive(Args, Debug)]
+struct CheckArgs {
+    /// Folder of the video.
+    input: PathBuf,
+    #[command(flatten)]
+    input_options: InputArgs,
+}
+
+/// How the input is read.
+#[derive(Args, Debug)]
+struct InputArgs {
+    /// Which masks to use: `first` (propagate it), `all` (masks/ has one per frame), or a folder of masks.
+    #[arg(long, default_value = "first", value_name = "first|all|FOLDER")]
+    masks: String,
+    /// The first frame's mask, when it isn't masks/<first frame>.png.
+    #[arg(long, value_name = "FILE")]
+    first_mask: Option<PathBuf>,
+    /// Use every N-th frame.
+    #[arg(long, default_value_t = 1, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    stride: u32,
+    /// Metres per unit of the depth files.
+    #[arg(long, default_value_t = 0.001, value_name = "METRES")]
+    depth_scale: f64,
+}
+
+/// How tracking is done.
+#[derive(Args, Debug)]
+struct HowArgs {
+    /// TOML file with settings; what it leaves out keeps its default.
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
+    /// lockstep: the tracker waits for the field (reproducible). realtime: it never waits.
+    #[arg(long, value_enum, default_value_t = ScheduleArg::Lockstep)]
+    schedule: ScheduleArg,
+    /// Where the field is trained.
+    #[arg(long, value_enum, default_value_t = Device::Auto)]
+    device: Device,
+    /// Bit-identical results in every run on one machine (implies lockstep).
+    #[arg(long)]
+    deterministic: bool,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum ScheduleArg {
+    Lockstep,
+    Realtime,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum Device {
+    Auto,
+    Cpu,
+    Gpu,
+}
+
+impl HowArgs {
+    /// The config and schedule that these arguments ask for.
+    fn resolve(&self) -> anyhow::Result<(bundlesdf::Config, bundlesdf::Schedule)> {
+        anyhow::ensure!(
+            self.device != Device::Gpu,
+            "--device gpu: this version trains the field on the CPU only; use --device auto or cpu"
+        );
+        anyhow::ensure!(
+            !(self.deterministic && self.schedule == ScheduleArg::Realtime),
+            "--deterministic needs the lockstep schedule; leave out --schedule realtime"
+        );
+        let config = match &self.config {
+            None => bundlesdf::Config::default(),
+            Some(path) => {
+                let text = std::fs::read_to_string(path).map_err(|e| {
+                    anyhow::anyhow!("{}: can't be read ({e}); give an existing TOML file to --config", path.display())
+                })?;
+                bundlesdf::Config::from_toml(&text, &path.display().to_string())?
+            }
+        };
+        let schedule = match self.schedule {
+            ScheduleArg::Lockstep => bundlesdf::Schedule::Lockstep,
+            ScheduleArg::Realtime => bundlesdf::Schedule::Realtime,
+        };
+        Ok((config, schedule))
+    }
+}
+
+/// Parses the arguments and runs the command; errors go to standard error in one line.
+pub(crate) fn main() -> ExitCode {
+    let cli = Cli::parse();
+    init_tracing(cli.verbose);
+    let outcome = match &cli.command {
+        Command::Demo(args) => demo::demo(args),
+        Command::Run(args) => run::run(args),
+        Command::Check(args) => check::check(args),
+    };
+    outcome.unwrap_or_else(|error| {
+        let text = format!("{error:#}").replace('\n', " ");
+        eprintln!("error: {text}");
+        ExitCode::from(EXIT_BAD_INPUT)
+    })
+}
+
+fn init_tracing(verbose: u8) {
+    use tracing_subscriber::{EnvFilter, fmt::format::FmtSpan};
+    let level = match verbose {
+        0 => "off",
+        1 => "info",
+        2 => "debug",
+        _ => "trace",
+    };
+    let spans = if verbose > 2 { FmtSpan::CLOSE } else { FmtSpan::NONE };
+    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(level));
+    tracing_subscriber::fmt()
+        .with_env_filter(filter)
+        .with_writer(std::io::stderr)
+        .with_span_events(spans)
+        .init();
+}
+
+/// A flag that Ctrl-C and SIGTERM set; a second signal ends the process at once.
+fn stop_flag() -> Arc<AtomicBool> {
+    let stop = Arc::new(AtomicBool::new(false));
+    let flag = stop.clone();
+    let handler = move || {
+        if flag.swap(true, Ordering::SeqCst) {
+            std::process::exit(i32::from(EXIT_INTERRUPTED));
+        }
+    };
+    if let Err(error) = ctrlc::set_handler(handler) {
+        tracing::warn!(%error, "Ctrl-C will end the run without its last files");
+    }
+    stop
+}

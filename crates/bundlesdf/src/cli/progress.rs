@@ -1,0 +1,56 @@
+//! The progress bar, and an observer that writes each pose as it is made.
+
+use std::{io::IsTerminal, time::Duration};
+
+use bundlesdf::{FrameResult, Observer, OutputFolder, Status};
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+
+/// Shows frames, rate, keyframes and the latest status while poses go to disk.
+pub(super) struct Progress<'a> {
+    bar: ProgressBar,
+    folder: &'a OutputFolder,
+    lost: usize,
+}
+
+impl<'a> Progress<'a> {
+    pub(super) fn new(frames: usize, folder: &'a OutputFolder) -> Self {
+        let target = if std::io::stderr().is_terminal() {
+            ProgressDrawTarget::stderr()
+        } else {
+            ProgressDrawTarget::hidden()
+        };
+        let bar = ProgressBar::with_draw_target(Some(frames as u64), target);
+        let template = "{spinner} {pos}/{len} frames [{wide_bar}] {per_sec} eta {eta} | {msg}";
+        if let Ok(style) = ProgressStyle::with_template(template) {
+            bar.set_style(style.progress_chars("=> "));
+        }
+        Self { bar, folder, lost: 0 }
+    }
+
+    /// Takes the bar off the screen.
+    pub(super) fn close(&self) {
+        self.bar.finish_and_clear();
+    }
+}
+
+impl Observer for Progress<'_> {
+    fn frame(&mut self, result: &FrameResult, keyframes: usize) -> Result<(), rgbd_io::Error> {
+        self.lost += usize::from(result.status == Status::Lost);
+        self.bar.set_message(format!(
+            "{}, {keyframes} keyframes, {} lost",
+            result.status.as_str(),
+            self.lost
+        ));
+        self.bar.inc(1);
+        self.folder.write_pose(&result.id, &result.cam_from_obj)
+    }
+
+    fn unreadable(&mut self, error: &rgbd_io::Error) {
+        self.bar.suspend(|| eprintln!("warning: {error}; the frame counts as lost"));
+    }
+
+    fn finishing(&mut self) {
+        self.bar.set_message("final round and mesh");
+        self.bar.enable_steady_tick(Duration::from_millis(200));
+    }
+}

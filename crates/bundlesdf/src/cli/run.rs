@@ -1,0 +1,102 @@
+//! `bundlesdf run`.
+
+use std::{io::Write, path::PathBuf, process::ExitCode, sync::Arc};
+
+use bundlesdf::{Config, OutputFolder, RunReport, Schedule, Status, VideoRun, run_video};
+use rgbd_io::{CustomFolder, CustomOptions, FrameSource, MaskSource};
+
+use super::{EXIT_BAD_INPUT, EXIT_INTERRUPTED, InputArgs, RunArgs, progress::Progress, stop_flag};
+
+/// How the input arguments read a custom folder.
+pub(super) fn custom_options(args: &InputArgs) -> CustomOptions {
+    let masks = match args.masks.as_str() {
+        "first" => MaskSource::First,
+        "all" => MaskSource::All,
+        folder => MaskSource::Folder(PathBuf::from(folder)),
+    };
+    CustomOptions {
+        masks,
+        depth_scale: args.depth_scale,
+        stride: args.stride as usize,
+        first_mask: args.first_mask.clone(),
+    }
+}
+
+/// Tracks a custom folder.
+pub(super) fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
+    let (config, schedule) = args.how.resolve()?;
+    let source = CustomFolder::open(&args.input, &custom_options(&args.input_options))?;
+    let folder = OutputFolder::create(&args.out, args.force)?;
+    let (run, report) = track(Arc::new(source), &config, schedule, &folder)?;
+    print(&summary(&report, &folder));
+    Ok(match run.unreadable.first() {
+        _ if run.interrupted => ExitCode::from(EXIT_INTERRUPTED),
+        Some(first) => {
+            let others = run.unreadable.len() - 1;
+            let more = if others > 0 { format!(" (and {others} more frames)") } else { String::new() };
+            eprintln!("error: {first}{more}");
+            ExitCode::from(EXIT_BAD_INPUT)
+        }
+        None => ExitCode::SUCCESS,
+    })
+}
+
+/// Runs the tracker with a progress bar and writes every result.
+pub(super) fn track(
+    source: Arc<dyn FrameSource>,
+    config: &Config,
+    schedule: Schedule,
+    folder: &OutputFolder,
+) -> anyhow::Result<(VideoRun, RunReport)> {
+    let stop = stop_flag();
+    let mut progress = Progress::new(source.len(), folder);
+    let run = run_video(source, config, schedule, &stop, &mut progress);
+    progress.close();
+    let run = run?;
+    folder.write_reconstruction(&run.reconstruction)?;
+    let report = RunReport::new(config, &run);
+    folder.write_report(&report)?;
+    Ok((run, report))
+}
+
+/// The closing table.
+pub(super) fn summary(report: &RunReport, folder: &OutputFolder) -> String {
+    let statuses = [Status::Tracked, Status::Relocalised, Status::Weak, Status::Lost]
+        .map(|s| format!("{} {}", report.count(s), s.as_str()))
+        .join(", ");
+    let mesh = if report.mesh.faces == 0 {
+        "none (too few keyframes, or the field is switched off)".to_owned()
+    } else {
+        let closed = if report.mesh.watertight { "watertight" } else { "open where nothing was seen" };
+        format!("{} vertices, {} faces, {closed}", report.mesh.vertices, report.mesh.faces)
+    };
+    let field = format!(
+        "{} rounds, median {:.1} s for {} steps",
+        report.field.rounds,
+        report.field.ms_per_round_median / 1e3,
+        report.field.steps
+    );
+    let mut text = String::new();
+    for (name, value) in [
+        ("frames", format!("{} ({statuses})", report.frames.len())),
+        ("tracking", format!("{:.1} Hz median, {:.1} s in all", report.tracking_hz_median, report.wall_s)),
+        ("keyframes", report.keyframes.to_string()),
+        ("field", field),
+        ("mesh", mesh),
+        ("results", format!("{} (ob_in_cam/, mesh.obj, mesh.ply, keyframes.json, run.json)", folder.path().display())),
+    ] {
+        text.push_str(&format!("{name:<10} {value}\n"));
+    }
+    for failure in &report.field.failures {
+        text.push_str(&format!("{:<10} a field round failed: {failure}\n", "warning"));
+    }
+    if report.interrupted {
+        text.push_str(&format!("{:<10} interrupted: results up to the last frame tracked\n", "warning"));
+    }
+    text
+}
+
+/// Writes to standard output; a reader that has gone away is not an error.
+pub(super) fn print(text: &str) {
+    let _ = std::io::stdout().write_all(text.as_bytes());
+}

@@ -1,0 +1,301 @@
+//! Every number a user may set, with its default and unit.
+//!
+//! A config file is TOML with the same structure; keys that are missing keep their default, unknown keys are refused.
+
+use serde::{Deserialize, Serialize};
+
+/// Settings of the whole system.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Config {
+    /// Depth clean-up and working resolution.
+    pub preprocess: PreprocessConfig,
+    /// Frame-to-frame and frame-to-memory correspondences, RANSAC, motion gates.
+    pub coarse: CoarseConfig,
+    /// Which frames are remembered and which take part in the pose graph.
+    pub memory: MemoryConfig,
+    /// Online pose-graph optimisation.
+    pub graph: GraphConfig,
+    /// Neural Object Field.
+    pub field: FieldSettings,
+    /// Extraction of the final mesh.
+    pub mesh: MeshConfig,
+    /// Seed of every random choice.
+    pub seed: u64,
+}
+
+/// Depth clean-up and working resolution.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct PreprocessConfig {
+    /// Images whose shorter side is at least twice this are reduced by an integer factor (pixels).
+    pub working_side: usize,
+    /// Depth below this is missing (metres).
+    pub min_depth: f32,
+    /// Depth beyond this is missing (metres).
+    pub max_depth: f32,
+    /// Neighbours further than this from the centre pixel don't take part in the smoothing (metres, at 1 m;
+    /// grows with the square of the depth, never below half of it).
+    pub smoothing_gate: f32,
+    /// Surface seen at less than this angle is dropped (degrees; the paper's release uses 10).
+    pub grazing_deg: f32,
+    /// Fewest mask pixels for a frame to be tracked.
+    pub min_mask_pixels: usize,
+    /// Pixels taken off the border of the mask, where depth mixes object and background.
+    pub mask_erosion: usize,
+}
+
+impl Default for PreprocessConfig {
+    fn default() -> Self {
+        Self {
+            working_side: 480,
+            min_depth: 0.1,
+            max_depth: 10.0,
+            smoothing_gate: 0.01,
+            grazing_deg: 10.0,
+            min_mask_pixels: 100,
+            mask_erosion: 1,
+        }
+    }
+}
+
+/// Correspondences, RANSAC and motion gates.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct CoarseConfig {
+    /// Corners tracked from the previous frame.
+    pub max_corners: usize,
+    /// Corners tracked from each memory frame.
+    pub max_corners_memory: usize,
+    /// RANSAC hypotheses per pair.
+    pub hypotheses: usize,
+    /// Largest distance of an inlier (metres, at 0.5 m; grows with the depth noise).
+    pub inlier_distance: f64,
+    /// Largest angle between the normals of an inlier (degrees).
+    pub inlier_normal_deg: f64,
+    /// Fewest inliers for a motion to be believed.
+    pub min_inliers: usize,
+    /// Fewest inliers for a memory frame to become the reference after a loss (paper supplement: more than 10).
+    pub min_relocalise_inliers: usize,
+    /// Largest translation between consecutive frames (metres).
+    pub max_translation: f64,
+    /// Largest rotation between consecutive frames (degrees).
+    pub max_rotation_deg: f64,
+}
+
+impl Default for CoarseConfig {
+    fn default() -> Self {
+        Self {
+            max_corners: 300,
+            max_corners_memory: 120,
+            hypotheses: 500,
+            inlier_distance: 0.006,
+            inlier_normal_deg: 45.0,
+            min_inliers: 8,
+            min_relocalise_inliers: 11,
+            max_translation: 0.06,
+            max_rotation_deg: 30.0,
+        }
+    }
+}
+
+/// The memory pool.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct MemoryConfig {
+    /// Smallest swing angle (rotation without roll about the optical axis) to every keyframe (degrees).
+    pub min_swing_deg: f64,
+    /// Fewest depth pixels of a keyframe, as a share of the first frame's.
+    pub min_valid_share: f64,
+    /// Most keyframes kept.
+    pub capacity: usize,
+    /// Memory frames in the pose graph, beside the new frame (K in the paper).
+    pub selected: usize,
+    /// Least share of a keyframe's points that face the new camera (paper: 0.1).
+    pub min_visible: f64,
+    /// Largest angle between a point's normal and its viewing ray to count as visible (degrees).
+    pub visible_deg: f64,
+}
+
+impl Default for MemoryConfig {
+    fn default() -> Self {
+        Self {
+            min_swing_deg: 8.0,
+            min_valid_share: 0.1,
+            capacity: 64,
+            selected: 10,
+            min_visible: 0.1,
+            visible_deg: 70.0,
+        }
+    }
+}
+
+/// Online pose-graph optimisation (paper eq. L_pg).
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct GraphConfig {
+    /// Gauss-Newton iterations (paper: 7).
+    pub iterations: usize,
+    /// Weight of the feature term, w_f.
+    pub feature_weight: f64,
+    /// Weight of the dense point-to-plane term, w_p.
+    pub dense_weight: f64,
+    /// Weight of the SDF term, w_s.
+    pub sdf_weight: f64,
+    /// Huber threshold of all terms (metres).
+    pub huber: f64,
+    /// Points of the new frame that are compared with the field.
+    pub sdf_points: usize,
+    /// Target pixels of the downscaled cloud for the dense term.
+    pub dense_pixels: usize,
+}
+
+impl Default for GraphConfig {
+    fn default() -> Self {
+        Self {
+            iterations: 7,
+            feature_weight: 1.0,
+            dense_weight: 1.0,
+            sdf_weight: 1.0,
+            huber: 0.005,
+            sdf_points: 600,
+            dense_pixels: 5000,
+        }
+    }
+}
+
+/// When and how the Neural Object Field is trained.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct FieldSettings {
+    /// Without the field the system is the tracker and its pose graph alone, and there is no mesh.
+    pub enabled: bool,
+    /// Keyframes before the first round (paper: 10, the authors' release: 5).
+    pub first_round_keyframes: usize,
+    /// New keyframes that start a further round in the `lockstep` schedule.
+    pub keyframes_per_round: usize,
+    /// Training steps of an online round.
+    pub steps: usize,
+    /// Training steps of the last round, from which the mesh is taken.
+    pub final_steps: usize,
+}
+
+impl Default for FieldSettings {
+    fn default() -> Self {
+        Self { enabled: true, first_round_keyframes: 5, keyframes_per_round: 4, steps: 200, final_steps: 400 }
+    }
+}
+
+/// Extraction of the final mesh.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct MeshConfig {
+    /// Marching-cubes spacing (metres).
+    pub spacing: f32,
+}
+
+impl Default for MeshConfig {
+    fn default() -> Self {
+        Self { spacing: 0.0025 }
+    }
+}
+
+/// When the field is trained relative to the tracker.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Schedule {
+    /// The tracker waits for a round after each batch of new keyframes: reproducible.
+    #[default]
+    Lockstep,
+    /// The tracker never waits; rounds run beside it on the newest keyframes.
+    Realtime,
+}
+
+/// A config that can't be used.
+#[derive(Debug, thiserror::Error)]
+#[error("{path}: {problem}; see the config section of the README for the keys and their defaults")]
+pub struct ConfigError {
+    /// File name, or `config` when it came from memory.
+    pub path: String,
+    /// What is wrong.
+    pub problem: String,
+}
+
+impl Config {
+    /// Reads a TOML text; `path` names it in errors.
+    ///
+    /// # Errors
+    /// On a syntax error, an unknown key, or a value outside its range.
+    pub fn from_toml(text: &str, path: &str) -> Result<Self, ConfigError> {
+        let config: Self = toml::from_str(text).map_err(|e| ConfigError {
+            path: path.to_owned(),
+            problem: e.to_string().trim().replace('\n', " "),
+        })?;
+        config.validate().map_err(|problem| ConfigError { path: path.to_owned(), problem })?;
+        Ok(config)
+    }
+
+    /// Checks that every value is in its range; the message names the key.
+    ///
+    /// # Errors
+    /// The first key whose value can't work, with its range.
+    pub fn validate(&self) -> Result<(), String> {
+        let positive = |name: &str, value: f64| {
+            if value.is_finite() && value > 0.0 { Ok(()) } else { Err(format!("{name} must be above 0, is {value}")) }
+        };
+        let within = |name: &str, value: usize, range: std::ops::RangeInclusive<usize>| {
+            if range.contains(&value) {
+                Ok(())
+            } else {
+                Err(format!("{name} must be within {} to {}, is {value}", range.start(), range.end()))
+            }
+        };
+        let (p, c, m, g, f) = (&self.preprocess, &self.coarse, &self.memory, &self.graph, &self.field);
+        within("preprocess.working_side", p.working_side, 60..=4000)?;
+        within("preprocess.mask_erosion", p.mask_erosion, 0..=20)?;
+        positive("preprocess.max_depth - preprocess.min_depth", f64::from(p.max_depth - p.min_depth))?;
+        positive("preprocess.smoothing_gate", f64::from(p.smoothing_gate))?;
+        within("coarse.max_corners", c.max_corners, 8..=5000)?;
+        within("coarse.max_corners_memory", c.max_corners_memory, 8..=5000)?;
+        within("coarse.hypotheses", c.hypotheses, 1..=100_000)?;
+        within("coarse.min_inliers", c.min_inliers, 3..=1000)?;
+        positive("coarse.inlier_distance", c.inlier_distance)?;
+        positive("coarse.inlier_normal_deg", c.inlier_normal_deg)?;
+        positive("coarse.max_translation", c.max_translation)?;
+        positive("coarse.max_rotation_deg", c.max_rotation_deg)?;
+        positive("memory.min_swing_deg", m.min_swing_deg)?;
+        within("memory.capacity", m.capacity, 2..=1000)?;
+        within("memory.selected", m.selected, 1..=15)?;
+        within("graph.iterations", g.iterations, 1..=100)?;
+        positive("graph.huber", g.huber)?;
+        within("graph.dense_pixels", g.dense_pixels, 100..=1_000_000)?;
+        within("field.first_round_keyframes", f.first_round_keyframes, 1..=1000)?;
+        within("field.keyframes_per_round", f.keyframes_per_round, 1..=1000)?;
+        within("field.steps", f.steps, 1..=100_000)?;
+        within("field.final_steps", f.final_steps, 1..=100_000)?;
+        positive("mesh.spacing", f64::from(self.mesh.spacing))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_defaults_are_valid_and_survive_a_round_trip_through_toml() {
+        let config = Config::default();
+        config.validate().unwrap();
+        let text = toml::to_string(&config).unwrap();
+        assert_eq!(Config::from_toml(&text, "c.toml").unwrap(), config);
+    }
+
+    #[test]
+    fn an_unknown_key_and_an_impossible_value_are_refused_by_name() {
+        let error = Config::from_toml("[memory]\nmin_swing = 3\n", "c.toml").unwrap_err().to_string();
+        assert!(error.contains("c.toml") && error.contains("min_swing"), "{error}");
+        let error = Config::from_toml("[mesh]\nspacing = 0.0\n", "c.toml").unwrap_err().to_string();
+        assert!(error.contains("mesh.spacing"), "{error}");
+        let error = Config::from_toml("[mesh]\nspacing = nan\n", "c.toml").unwrap_err().to_string();
+        assert!(error.contains("mesh.spacing"), "{error}");
+    }
+}

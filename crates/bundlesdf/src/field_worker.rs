@@ -1,0 +1,121 @@
+//! The field's thread: takes snapshots of the memory pool, trains a round, answers with poses and the field.
+
+use std::{
+    panic::{AssertUnwindSafe, catch_unwind},
+    sync::{
+        Arc,
+        atomic::{AtomicBool, Ordering},
+    },
+    thread::JoinHandle,
+    time::{Duration, Instant},
+};
+
+use crossbeam_channel::{Receiver, Sender, bounded};
+use nalgebra::Isometry3;
+use neural_field::{Control, FieldConfig, FieldImages, TrainedField};
+
+/// An immutable snapshot of the pool.
+pub(crate) struct FieldRequest {
+    /// Settings of this round.
+    pub(crate) config: FieldConfig,
+    /// Frame index, images and current `obj_from_cam`; the first is the anchor.
+    pub(crate) frames: Vec<(usize, Arc<FieldImages>, Isometry3<f64>)>,
+}
+
+/// The result of one round.
+pub(crate) struct FieldUpdate {
+    /// Refined `obj_from_cam` by frame index.
+    pub(crate) poses: Vec<(usize, Isometry3<f64>)>,
+    /// The trained field.
+    pub(crate) field: Arc<TrainedField>,
+    /// Time of the round.
+    pub(crate) elapsed: Duration,
+}
+
+/// A round's outcome; the message says why there is no update.
+pub(crate) type FieldReply = Result<FieldUpdate, String>;
+
+/// Owns the thread. One round at a time: [`FieldWorker::is_busy`] tells whether one is under way.
+pub(crate) struct FieldWorker {
+    requests: Option<Sender<FieldRequest>>,
+    replies: Receiver<FieldReply>,
+    stop: Arc<AtomicBool>,
+    busy: bool,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl FieldWorker {
+    /// Starts the thread; `None` when the system gives no thread.
+    pub(crate) fn start() -> Option<Self> {
+        let (requests, inbox) = bounded::<FieldRequest>(1);
+        let (outbox, replies) = bounded::<FieldReply>(1);
+        let stop = Arc::new(AtomicBool::new(false));
+        let stopped = stop.clone();
+        let body = move || {
+            for request in inbox {
+                if outbox.send(round(&request, &stopped)).is_err() {
+                    break;
+                }
+            }
+        };
+        let thread = std::thread::Builder::new().name("field".into()).spawn(body).ok()?;
+        Some(Self { requests: Some(requests), replies, stop, busy: false, thread: Some(thread) })
+    }
+
+    /// Whether a round is under way or its reply not yet taken.
+    pub(crate) fn is_busy(&self) -> bool {
+        self.busy
+    }
+
+    /// Starts a round; ignored while one is under way.
+    pub(crate) fn submit(&mut self, request: FieldRequest) {
+        if !self.busy
+            && let Some(requests) = &self.requests
+        {
+            self.busy = requests.send(request).is_ok();
+        }
+    }
+
+    /// The reply of the round under way: at once if there is one, or after waiting for it.
+    pub(crate) fn take(&mut self, wait: bool) -> Option<FieldReply> {
+        if !self.busy {
+            return None;
+        }
+        let reply = if wait {
+            self.replies.recv().unwrap_or_else(|_| Err("the field's thread has ended".into()))
+        } else {
+            match self.replies.try_recv() {
+                Ok(reply) => reply,
+                Err(crossbeam_channel::TryRecvError::Empty) => return None,
+                Err(crossbeam_channel::TryRecvError::Disconnected) => Err("the field's thread has ended".into()),
+            }
+        };
+        self.busy = false;
+        Some(reply)
+    }
+}
+
+impl Drop for FieldWorker {
+    fn drop(&mut self) {
+        self.stop.store(true, Ordering::Relaxed);
+        self.requests = None;
+        if let Some(thread) = self.thread.take() {
+            // The thread catches its own panics, so there is nothing to report from the join.
+            let _ = thread.join();
+        }
+    }
+}
+
+/// Trains one round; a panic inside becomes an error, so that tracking goes on.
+fn round(request: &FieldRequest, stop: &AtomicBool) -> FieldReply {
+    let _span = tracing::info_span!("field_round", keyframes = request.frames.len()).entered();
+    let start = Instant::now();
+    let images: Vec<_> = request.frames.iter().map(|(_, images, _)| images.clone()).collect();
+    let poses: Vec<_> = request.frames.iter().map(|(_, _, pose)| *pose).collect();
+    let control = Control { stop: Some(stop), progress: None };
+    let trained = catch_unwind(AssertUnwindSafe(|| neural_field::train(&request.config, &images, &poses, &control)))
+        .map_err(|_| "the field's training failed unexpectedly".to_owned())?
+        .map_err(|e| e.to_string())?;
+    let refined = request.frames.iter().map(|(index, _, _)| *index).zip(trained.poses().iter().copied()).collect();
+    Ok(FieldUpdate { poses: refined, field: Arc::new(trained), elapsed: start.elapsed() })
+}

@@ -1,0 +1,7 @@
+//! The `bundlesdf` command line.
+
+mod cli;
+
+fn main() -> std::process::ExitCode {
+    cli::main()
+}

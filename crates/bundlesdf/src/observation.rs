@@ -1,0 +1,444 @@
+//! What the tracker keeps of a frame: the object's crop with clean depth, normals and an image pyramid.
+
+use std::sync::{Arc, OnceLock};
+
+use matcher::{
+    Features,
+    corners::{CornerOptions, detect_corners},
+    gray::{Pyramid, to_gray},
+};
+use nalgebra::{Isometry3, Point3, Vector3};
+use neural_field::FieldImages;
+use posegraph::DenseView;
+use rgbd_io::{Image, Intrinsics, Mask, RgbdFrame};
+
+use crate::{
+    config::{Config, PreprocessConfig},
+    depth,
+};
+
+/// Pixels around the mask's box that stay in the crop: context for point tracks and for the field's ring rays.
+const MARGIN_SHARE: f64 = 0.12;
+const MIN_MARGIN: usize = 12;
+/// Points with normals that stand for the whole cloud in visibility tests.
+const SAMPLES: usize = 400;
+
+/// The object in one frame; immutable once built and shared between tracker, pool and field.
+///
+/// Pixel coordinates are those of the crop; [`Observation::intrinsics`] belong to it.
+#[derive(Debug)]
+pub struct Observation {
+    /// Running number of the frame.
+    pub index: usize,
+    /// Camera of the crop.
+    pub intrinsics: Intrinsics,
+    /// Top-left pixel of the crop in the working image.
+    pub origin: [usize; 2],
+    /// Object mask after erosion.
+    pub mask: Mask,
+    /// Camera-frame points (metres) of the object, zero where there is no reading.
+    pub points: Image<[f32; 3]>,
+    /// Unit normals towards the camera, zero where unknown.
+    pub normals: Image<[f32; 3]>,
+    /// Gray pyramid of the crop (background included: point tracks need it at the rim).
+    pub pyramid: Pyramid,
+    /// Downscaled cloud for the dense term.
+    pub dense: DenseView,
+    /// Colour, depth and mask of the crop for the field.
+    pub images: Arc<FieldImages>,
+    /// Object pixels with depth.
+    pub valid: usize,
+    /// Evenly spread points with normals, camera frame: what visibility tests look at.
+    pub samples: Vec<([f32; 3], [f32; 3])>,
+    corners: OnceLock<Vec<[f32; 2]>>,
+    features: OnceLock<Features>,
+}
+
+/// Why a frame shows too little of the object to be tracked.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum Unusable {
+    /// Colour, depth and mask are not of one size, or the intrinsics are not finite.
+    #[error("colour, depth and mask differ in size, or the intrinsics are invalid")]
+    Malformed,
+    /// Hardly any mask pixel.
+    #[error("the mask has too few pixels")]
+    NoMask,
+    /// Hardly any depth inside the mask.
+    #[error("there is too little depth inside the mask")]
+    NoDepth,
+}
+
+impl Observation {
+    /// Crops, cleans and measures the object in `frame` under `mask` (the size of the frame).
+    ///
+    /// # Errors
+    /// [`Unusable`] when there is nothing to track.
+    pub fn new(index: usize, frame: &RgbdFrame, mask: &Mask, config: &Config) -> Result<Self, Unusable> {
+        let p = &config.preprocess;
+        if frame.color.size() != frame.depth.size()
+            || frame.color.size() != mask.size()
+            || frame.color.is_empty()
+            || !frame.intrinsics.is_valid()
+        {
+            return Err(Unusable::Malformed);
+        }
+        let working = WorkingImages::new(frame, mask, p);
+        let eroded = erode(&working.mask, p.mask_erosion);
+        let bounds = mask_box(&eroded, p.min_mask_pixels).ok_or(Unusable::NoMask)?;
+        let [x0, y0, width, height] = with_margin(bounds, eroded.size());
+
+        let crop_mask = crop(&eroded, [x0, y0, width, height]);
+        let color = crop(&working.color, [x0, y0, width, height]);
+        let raw = crop(&working.depth, [x0, y0, width, height]);
+        let intrinsics = working.intrinsics.cropped(x0, y0);
+
+        let once = depth::smooth(&raw, &crop_mask, p.smoothing_gate);
+        let mut clean = depth::smooth(&once, &crop_mask, p.smoothing_gate);
+        let mut points = depth::cloud(&clean, &intrinsics);
+        let mut normals = depth::normals(&points);
+        depth::drop_grazing(&mut clean, &mut points, &mut normals, p.grazing_deg);
+
+        let valid = clean.pixels().iter().filter(|d| **d > 0.0).count();
+        if valid < p.min_mask_pixels / 2 {
+            return Err(Unusable::NoDepth);
+        }
+        let samples = spread_samples(&points, &normals);
+        let dense = downscale(&points, &normals, &intrinsics, valid, config.graph.dense_pixels);
+        let pyramid = Pyramid::new(to_gray(&color), pyramid_levels(width, height));
+        let images = Arc::new(field_images(index, &color, &raw, &clean, &crop_mask, &intrinsics));
+        Ok(Self {
+            index,
+            intrinsics,
+            origin: [x0, y0],
+            mask: crop_mask,
+            points,
+            normals,
+            pyramid,
+            dense,
+            images,
+            valid,
+            samples,
+            corners: OnceLock::new(),
+            features: OnceLock::new(),
+        })
+    }
+
+    /// Trackable corners inside the mask, strongest first, in crop pixels.
+    pub fn corners(&self, max_count: usize) -> &[[f32; 2]] {
+        let corners = self.corners.get_or_init(|| {
+            detect_corners(
+                &self.pyramid.levels()[0],
+                &self.mask,
+                &CornerOptions { max_count, ..CornerOptions::default() },
+            )
+        });
+        &corners[..corners.len().min(max_count)]
+    }
+
+    /// The descriptor features of this observation, computed by `detect` on first use.
+    pub(crate) fn features(&self, detect: impl FnOnce() -> Features) -> &Features {
+        self.features.get_or_init(detect)
+    }
+
+    /// Point and normal at a sub-pixel position: bilinear where the four pixels lie on one surface, else nearest.
+    pub fn lift(&self, at: [f32; 2]) -> Option<([f32; 3], [f32; 3])> {
+        const ONE_SURFACE: f32 = 0.01;
+        if !(at[0] >= 0.0 && at[1] >= 0.0) {
+            return None;
+        }
+        let (x, y) = (at[0] as usize, at[1] as usize);
+        let nearest = ((at[0] + 0.5) as usize, (at[1] + 0.5) as usize);
+        let normal = *self.normals.get(nearest.0, nearest.1)?;
+        let corner = |dx, dy| self.points.get(x + dx, y + dy).filter(|p| p[2] > 0.0);
+        if let (Some(a), Some(b), Some(c), Some(d)) = (corner(0, 0), corner(1, 0), corner(0, 1), corner(1, 1)) {
+            let depths = [a[2], b[2], c[2], d[2]];
+            let (lo, hi) = depths.iter().fold((f32::MAX, f32::MIN), |(lo, hi), z| (lo.min(*z), hi.max(*z)));
+            if hi - lo < ONE_SURFACE {
+                let (fx, fy) = (at[0] - x as f32, at[1] - y as f32);
+                let z = (a[2] * (1.0 - fx) + b[2] * fx) * (1.0 - fy) + (c[2] * (1.0 - fx) + d[2] * fx) * fy;
+                let p = self.intrinsics.unproject(f64::from(at[0]), f64::from(at[1]), f64::from(z));
+                return Some((p.map(|v| v as f32), normal));
+            }
+        }
+        let p = *self.points.get(nearest.0, nearest.1)?;
+        (p[2] > 0.0).then_some((p, normal))
+    }
+
+    /// Centre of the bounding box of the cloud in the camera frame, robust against stray readings (2 % at each end).
+    pub fn centre(&self) -> Point3<f64> {
+        let mut axes: [Vec<f32>; 3] = Default::default();
+        for p in self.points.pixels().iter().filter(|p| p[2] > 0.0) {
+            for (axis, v) in axes.iter_mut().zip(p) {
+                axis.push(*v);
+            }
+        }
+        let middle = |axis: &mut Vec<f32>| {
+            if axis.is_empty() {
+                return 0.0;
+            }
+            axis.sort_unstable_by(f32::total_cmp);
+            let trim = axis.len() / 50;
+            f64::from(axis[trim] + axis[axis.len() - 1 - trim]) / 2.0
+        };
+        Point3::new(middle(&mut axes[0]), middle(&mut axes[1]), middle(&mut axes[2]))
+    }
+
+    /// Share of this observation's sample points that face a camera at `obj_from_camera`, when this one is at
+    /// `obj_from_cam`: the covisibility of REFERENCE section 2.5 (no occlusion test).
+    pub fn visible_share(
+        &self,
+        obj_from_cam: &Isometry3<f64>,
+        obj_from_camera: &Isometry3<f64>,
+        visible_deg: f64,
+    ) -> f64 {
+        if self.samples.is_empty() {
+            return 0.0;
+        }
+        let limit = visible_deg.to_radians().cos();
+        let relative = obj_from_camera.inv_mul(obj_from_cam);
+        let facing = self.samples.iter().filter(|(p, n)| {
+            let p = relative * Point3::from(Vector3::from(*p).cast::<f64>());
+            let n = relative * Vector3::from(*n).cast::<f64>();
+            -n.dot(&p.coords) > limit * p.coords.norm()
+        });
+        facing.count() as f64 / self.samples.len() as f64
+    }
+}
+
+/// The frame at working resolution.
+struct WorkingImages {
+    color: Image<[u8; 3]>,
+    depth: Image<f32>,
+    mask: Mask,
+    intrinsics: Intrinsics,
+}
+
+impl WorkingImages {
+    fn new(frame: &RgbdFrame, mask: &Mask, p: &PreprocessConfig) -> Self {
+        let in_range = |d: &f32| if *d >= p.min_depth && *d <= p.max_depth { *d } else { 0.0 };
+        let (width, height) = frame.color.size();
+        let factor = (width.min(height) / p.working_side).max(1);
+        if factor == 1 {
+            return Self {
+                color: frame.color.clone(),
+                depth: frame.depth.map(in_range),
+                mask: mask.clone(),
+                intrinsics: frame.intrinsics,
+            };
+        }
+        let (w, h) = (width / factor, height / factor);
+        // Depth and mask are taken from the pixel nearest to the block's centre: averaging would invent surfaces.
+        let centre = factor / 2;
+        let shift = centre as f64 - (factor as f64 - 1.0) / 2.0;
+        let mut intrinsics = frame.intrinsics.scaled(1.0 / factor as f64, 1.0 / factor as f64);
+        intrinsics.cx -= shift / factor as f64;
+        intrinsics.cy -= shift / factor as f64;
+        Self {
+            color: Image::from_fn(w, h, |x, y| block_mean(&frame.color, x * factor, y * factor, factor)),
+            depth: Image::from_fn(w, h, |x, y| in_range(&frame.depth[(x * factor + centre, y * factor + centre)])),
+            mask: Image::from_fn(w, h, |x, y| mask[(x * factor + centre, y * factor + centre)]),
+            intrinsics,
+        }
+    }
+}
+
+fn block_mean(color: &Image<[u8; 3]>, x0: usize, y0: usize, factor: usize) -> [u8; 3] {
+    let mut sum = [0_u32; 3];
+    for y in y0..y0 + factor {
+        for c in &color.row(y)[x0..x0 + factor] {
+            for i in 0..3 {
+                sum[i] += u32::from(c[i]);
+            }
+        }
+    }
+    sum.map(|s| (s / (factor * factor) as u32) as u8)
+}
+
+/// Takes `radius` pixels off the mask's border (square structuring element; the image's border is not background).
+fn erode(mask: &Mask, radius: usize) -> Mask {
+    let (width, height) = mask.size();
+    let rows = Image::from_fn(width, height, |x, y| {
+        let row = mask.row(y);
+        u8::from(row[x.saturating_sub(radius)..(x + radius + 1).min(width)].iter().all(|m| *m != 0))
+    });
+    Image::from_fn(width, height, |x, y| {
+        let all = (y.saturating_sub(radius)..(y + radius + 1).min(height)).all(|yy| rows[(x, yy)] != 0);
+        if all { 255 } else { 0 }
+    })
+}
+
+/// `[x0, y0, x1, y1]` (inclusive) of the mask, if it has at least `min_pixels`.
+fn mask_box(mask: &Mask, min_pixels: usize) -> Option<[usize; 4]> {
+    let mut bounds = [usize::MAX, usize::MAX, 0, 0];
+    let mut count = 0;
+    for y in 0..mask.height() {
+        for (x, _) in mask.row(y).iter().enumerate().filter(|(_, m)| **m != 0) {
+            bounds = [bounds[0].min(x), bounds[1].min(y), bounds[2].max(x), bounds[3].max(y)];
+            count += 1;
+        }
+    }
+    (count > 0 && count >= min_pixels).then_some(bounds)
+}
+
+/// The box with its margin, as `[x0, y0, width, height]` inside the image.
+fn with_margin([x0, y0, x1, y1]: [usize; 4], (width, height): (usize, usize)) -> [usize; 4] {
+    let margin = (((x1 - x0).max(y1 - y0) as f64 * MARGIN_SHARE) as usize).max(MIN_MARGIN);
+    let (left, top) = (x0.saturating_sub(margin), y0.saturating_sub(margin));
+    let (right, bottom) = ((x1 + margin + 1).min(width), (y1 + margin + 1).min(height));
+    [left, top, right - left, bottom - top]
+}
+
+fn crop<T: Clone>(image: &Image<T>, [x0, y0, width, height]: [usize; 4]) -> Image<T> {
+    Image::from_fn(width, height, |x, y| image[(x0 + x, y0 + y)].clone())
+}
+
+fn pyramid_levels(width: usize, height: usize) -> usize {
+    match width.min(height) {
+        0..48 => 2,
+        48..96 => 3,
+        _ => 4,
+    }
+}
+
+fn spread_samples(points: &Image<[f32; 3]>, normals: &Image<[f32; 3]>) -> Vec<([f32; 3], [f32; 3])> {
+    let usable = |(p, n): &(&[f32; 3], &[f32; 3])| p[2] > 0.0 && depth::dot(**n, **n) > 0.0;
+    let pairs = || points.pixels().iter().zip(normals.pixels()).filter(usable);
+    let step = pairs().count().div_ceil(SAMPLES).max(1);
+    pairs().step_by(step).map(|(p, n)| (*p, *n)).collect()
+}
+
+/// Every `step`-th pixel of the cloud, so that about `wanted` valid ones remain.
+fn downscale(
+    points: &Image<[f32; 3]>,
+    normals: &Image<[f32; 3]>,
+    k: &Intrinsics,
+    valid: usize,
+    wanted: usize,
+) -> DenseView {
+    let step = ((valid as f64 / wanted as f64).sqrt().round() as usize).max(1);
+    let half = step / 2;
+    let (width, height) = ((points.width() - half).div_ceil(step), (points.height() - half).div_ceil(step));
+    let pick = |image: &Image<[f32; 3]>| {
+        Image::from_fn(width, height, |x, y| image[(x * step + half, y * step + half)]).into_pixels()
+    };
+    let scale = step as f64;
+    DenseView {
+        width,
+        height,
+        fx: k.fx / scale,
+        fy: k.fy / scale,
+        cx: (k.cx - half as f64) / scale,
+        cy: (k.cy - half as f64) / scale,
+        points: pick(points),
+        normals: pick(normals),
+    }
+}
+
+/// Clean depth inside the mask, the sensor's own outside it: the field's ring rays see the background with it.
+fn field_images(
+    index: usize,
+    color: &Image<[u8; 3]>,
+    raw: &Image<f32>,
+    clean: &Image<f32>,
+    mask: &Mask,
+    k: &Intrinsics,
+) -> FieldImages {
+    let depth = clean
+        .pixels()
+        .iter()
+        .zip(raw.pixels())
+        .zip(mask.pixels())
+        .map(|((clean, raw), m)| if *m != 0 { *clean } else { *raw })
+        .collect();
+    FieldImages {
+        id: index as u64,
+        width: color.width(),
+        height: color.height(),
+        fx: k.fx,
+        fy: k.fy,
+        cx: k.cx,
+        cy: k.cy,
+        color: color.pixels().to_vec(),
+        depth,
+        mask: mask.pixels().to_vec(),
+    }
+}
+
+#[cfg(test)]
+pub(crate) mod tests {
+    use super::*;
+
+    fn flat_frame(width: usize, height: usize) -> (RgbdFrame, Mask) {
+        let frame = RgbdFrame {
+            id: "0".into(),
+            color: Image::from_fn(width, height, |x, y| [(x * 7 % 251) as u8, (y * 13 % 241) as u8, 90]),
+            depth: Image::filled(width, height, 0.5),
+            mask: None,
+            intrinsics: Intrinsics { fx: 120.0, fy: 130.0, cx: width as f64 / 2.0, cy: height as f64 / 2.0 },
+        };
+        let mask = Image::from_fn(width, height, |x, y| {
+            u8::from((width / 4..width * 3 / 4).contains(&x) && (height / 4..height * 3 / 4).contains(&y)) * 255
+        });
+        (frame, mask)
+    }
+
+    pub(crate) fn flat_observation() -> Observation {
+        let (frame, mask) = flat_frame(160, 120);
+        Observation::new(0, &frame, &mask, &Config::default()).unwrap()
+    }
+
+    #[test]
+    fn points_of_the_crop_are_those_of_the_whole_image() {
+        let (frame, mask) = flat_frame(160, 120);
+        let o = Observation::new(0, &frame, &mask, &Config::default()).unwrap();
+        let full = frame.intrinsics.unproject(80.0, 60.0, 0.5);
+        let (x, y) = (80 - o.origin[0], 60 - o.origin[1]);
+        for i in 0..3 {
+            assert!((f64::from(o.points[(x, y)][i]) - full[i]).abs() < 1e-6);
+        }
+        let (lifted, normal) = o.lift([x as f32 + 0.5, y as f32]).unwrap();
+        assert!((f64::from(lifted[0]) - frame.intrinsics.unproject(80.5, 60.0, 0.5)[0]).abs() < 1e-6);
+        assert!(normal[2] < -0.999);
+        let c = o.centre();
+        assert!((c.z - 0.5).abs() < 1e-6 && c.x.abs() < 0.01 && c.y.abs() < 0.01);
+    }
+
+    #[test]
+    fn a_double_size_image_gives_the_same_points() {
+        let small = flat_observation();
+        let (mut frame, mask) = flat_frame(160, 120);
+        let twice = |x: usize, y: usize| (x / 2, y / 2);
+        frame.intrinsics = frame.intrinsics.scaled(2.0, 2.0);
+        frame.color = Image::from_fn(320, 240, |x, y| frame.color[twice(x, y)]);
+        frame.depth = Image::filled(320, 240, 0.5);
+        let mask = Image::from_fn(320, 240, |x, y| mask[twice(x, y)]);
+        let mut config = Config::default();
+        config.preprocess.working_side = 120;
+        let large = Observation::new(0, &frame, &mask, &config).unwrap();
+        assert_eq!(small.mask.size(), large.mask.size());
+        let extent = |o: &Observation| {
+            let xs = o.points.pixels().iter().filter(|p| p[2] > 0.0).map(|p| p[0]);
+            xs.fold((f32::MAX, f32::MIN), |(lo, hi), x| (lo.min(x), hi.max(x)))
+        };
+        // The block's nearest pixel is half an original pixel off its centre at most.
+        let half_pixel = 0.5 / 240.0 * 0.5 + 1e-5;
+        assert!((extent(&small).0 - extent(&large).0).abs() < half_pixel);
+        assert!((extent(&small).1 - extent(&large).1).abs() < half_pixel);
+    }
+
+    #[test]
+    fn what_cannot_be_tracked_is_refused_with_its_reason() {
+        let config = Config::default();
+        let (frame, mask) = flat_frame(160, 120);
+        let reason = |frame: &RgbdFrame, mask: &Mask| Observation::new(0, frame, mask, &config).unwrap_err();
+        assert_eq!(reason(&frame, &Image::filled(160, 120, 0)), Unusable::NoMask);
+        assert_eq!(reason(&frame, &Image::filled(10, 10, 1)), Unusable::Malformed);
+        let mut dark = frame.clone();
+        dark.depth = Image::filled(160, 120, f32::NAN);
+        assert_eq!(reason(&dark, &mask), Unusable::NoDepth);
+        let mut camera = frame.clone();
+        camera.intrinsics.fx = 0.0;
+        assert_eq!(reason(&camera, &mask), Unusable::Malformed);
+    }
+}

@@ -1,0 +1,160 @@
+//! The output folder: every file is written under a temporary name and renamed, so that none is ever half there.
+
+use std::{
+    fs,
+    path::{Path, PathBuf},
+};
+
+use marching_cubes::TriMesh;
+use nalgebra::Isometry3;
+use rgbd_io::{
+    Error,
+    poses::{format_pose, write_atomic},
+};
+use serde::Serialize;
+
+use crate::{
+    report::{KeyframeReport, RunReport},
+    tracker::Reconstruction,
+};
+
+/// A folder that holds one run's results.
+#[derive(Clone, Debug)]
+pub struct OutputFolder {
+    root: PathBuf,
+}
+
+impl OutputFolder {
+    /// Makes the folder ready for a run.
+    ///
+    /// # Errors
+    /// When it can't be created, or already holds a run and `replace` is not set. With `replace` the earlier run's
+    /// files are removed, nothing else.
+    pub fn create(root: &Path, replace: bool) -> Result<Self, Error> {
+        let poses = root.join("ob_in_cam");
+        let earlier = poses.exists() || root.join("run.json").exists();
+        if earlier && !replace {
+            return Err(Error::new(
+                root,
+                "already holds the results of a run",
+                "give another folder with --out, or replace it with --force",
+            ));
+        }
+        let failed = |path: &Path, problem: &std::io::Error| {
+            Error::new(path, format!("can't be prepared ({problem})"), "choose a folder you may write to")
+        };
+        if earlier {
+            remove_earlier_run(root, &poses).map_err(|e| failed(root, &e))?;
+        }
+        fs::create_dir_all(&poses).map_err(|e| failed(&poses, &e))?;
+        Ok(Self { root: root.to_owned() })
+    }
+
+    /// The folder.
+    #[must_use]
+    pub fn path(&self) -> &Path {
+        &self.root
+    }
+
+    /// Writes `ob_in_cam/<id>.txt`: 4x4, object to camera, metres.
+    ///
+    /// # Errors
+    /// When the file can't be written.
+    pub fn write_pose(&self, id: &str, cam_from_obj: &Isometry3<f64>) -> Result<(), Error> {
+        let path = self.root.join("ob_in_cam").join(format!("{id}.txt"));
+        write_atomic(&path, format_pose(cam_from_obj).as_bytes())
+    }
+
+    /// Writes `mesh.obj`, `mesh.ply` (when there is a mesh) and `keyframes.json`.
+    ///
+    /// # Errors
+    /// When a file can't be written.
+    pub fn write_reconstruction(&self, reconstruction: &Reconstruction) -> Result<(), Error> {
+        if let Some(mesh) = &reconstruction.mesh {
+            self.write_mesh("mesh.ply", mesh, |mesh, bytes| marching_cubes::write_ply(mesh, bytes))?;
+            self.write_mesh("mesh.obj", mesh, |mesh, bytes| marching_cubes::write_obj(mesh, bytes))?;
+        }
+        let keyframes: Vec<_> = reconstruction.keyframes.iter().map(KeyframeReport::of).collect();
+        self.write_json("keyframes.json", &keyframes)
+    }
+
+    /// Writes `run.json`.
+    ///
+    /// # Errors
+    /// When the file can't be written.
+    pub fn write_report(&self, report: &RunReport) -> Result<(), Error> {
+        self.write_json("run.json", report)
+    }
+
+    /// Writes any value as JSON under `name`.
+    ///
+    /// # Errors
+    /// When the file can't be written.
+    pub fn write_json(&self, name: &str, value: &impl Serialize) -> Result<(), Error> {
+        let path = self.root.join(name);
+        let mut text = serde_json::to_vec_pretty(value)
+            .map_err(|e| Error::new(&path, format!("can't be put into JSON ({e})"), "report this as a bug"))?;
+        text.push(b'\n');
+        write_atomic(&path, &text)
+    }
+
+    fn write_mesh(
+        &self,
+        name: &str,
+        mesh: &TriMesh,
+        write: impl Fn(&TriMesh, &mut Vec<u8>) -> std::io::Result<()>,
+    ) -> Result<(), Error> {
+        let path = self.root.join(name);
+        let mut bytes = Vec::new();
+        write(mesh, &mut bytes)
+            .map_err(|e| Error::new(&path, format!("can't be written ({e})"), "report this as a bug"))?;
+        write_atomic(&path, &bytes)
+    }
+}
+
+/// Removes what an earlier run wrote under its own names.
+fn remove_earlier_run(root: &Path, poses: &Path) -> std::io::Result<()> {
+    if poses.is_dir() {
+        for entry in fs::read_dir(poses)? {
+            let path = entry?.path();
+            if path.extension().is_some_and(|e| e == "txt") {
+                fs::remove_file(path)?;
+            }
+        }
+    }
+    for name in ["run.json", "keyframes.json", "mesh.ply", "mesh.obj", "eval.json"] {
+        match fs::remove_file(root.join(name)) {
+            Err(e) if e.kind() != std::io::ErrorKind::NotFound => return Err(e),
+            _ => {}
+        }
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_run_is_only_replaced_on_request_and_foreign_files_stay() {
+        let dir = tempfile::tempdir().unwrap();
+        let root = dir.path().join("out");
+        let folder = OutputFolder::create(&root, false).unwrap();
+        folder.write_pose("0001", &Isometry3::identity()).unwrap();
+        fs::write(root.join("notes.txt"), "mine").unwrap();
+        let error = OutputFolder::create(&root, false).unwrap_err().to_string();
+        assert!(error.contains("--force") && error.contains("out"), "{error}");
+        OutputFolder::create(&root, true).unwrap();
+        assert!(!root.join("ob_in_cam/0001.txt").exists());
+        assert_eq!(fs::read_to_string(root.join("notes.txt")).unwrap(), "mine");
+    }
+
+    #[test]
+    fn an_unwritable_place_is_an_error_with_its_path() {
+        let dir = tempfile::tempdir().unwrap();
+        let file = dir.path().join("file");
+        fs::write(&file, "x").unwrap();
+        let error = OutputFolder::create(&file, false).unwrap_err().to_string();
+        assert!(error.contains("file"), "{error}");
+    }
+}

@@ -1,0 +1,219 @@
+//! The memory pool: the posed frames that are worth remembering (paper section 3.2).
+
+use std::{collections::HashMap, sync::Arc};
+
+use nalgebra::Isometry3;
+use se3_lie::distance::swing_angle;
+
+use crate::{config::MemoryConfig, observation::Observation};
+
+/// One remembered frame.
+#[derive(Clone, Debug)]
+pub struct Keyframe {
+    /// Index of the frame in the video.
+    pub index: usize,
+    /// Name of the frame.
+    pub id: String,
+    /// Current pose.
+    pub obj_from_cam: Isometry3<f64>,
+    /// The paper's flag b(F): the field has refined this pose, the pose graph may not move it any more.
+    pub refined_by_field: bool,
+    /// What was seen.
+    pub observation: Arc<Observation>,
+}
+
+/// Matches between two keyframes, as camera-frame points: `(older, newer, weight)`.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct MemoryEdge {
+    pub(crate) older: Vec<[f32; 3]>,
+    pub(crate) newer: Vec<[f32; 3]>,
+    pub(crate) weights: Vec<f32>,
+}
+
+/// Keyframes in the order in which they were added; the first one is the anchor of the object frame.
+#[derive(Debug, Default)]
+pub struct MemoryPool {
+    keyframes: Vec<Keyframe>,
+    edges: HashMap<(usize, usize), MemoryEdge>,
+}
+
+impl MemoryPool {
+    /// All keyframes, oldest first.
+    pub fn keyframes(&self) -> &[Keyframe] {
+        &self.keyframes
+    }
+
+    pub(crate) fn keyframes_mut(&mut self) -> &mut [Keyframe] {
+        &mut self.keyframes
+    }
+
+    /// The keyframe of video frame `index`.
+    pub fn get(&self, index: usize) -> Option<&Keyframe> {
+        self.keyframes.iter().find(|k| k.index == index)
+    }
+
+    /// Cached matches between two keyframes given by frame index, `older < newer`.
+    pub(crate) fn edge(&self, older: usize, newer: usize) -> Option<&MemoryEdge> {
+        self.edges.get(&(older, newer))
+    }
+
+    /// Whether `obj_from_cam` adds a view: its optical axis differs from every keyframe's by the minimum swing angle
+    /// (roll about the optical axis shows nothing new).
+    pub fn is_new_view(&self, obj_from_cam: &Isometry3<f64>, config: &MemoryConfig) -> bool {
+        let least = config.min_swing_deg.to_radians();
+        self.keyframes.iter().all(|k| swing_angle(&k.obj_from_cam.rotation, &obj_from_cam.rotation) >= least)
+    }
+
+    /// Adds a keyframe with its matches to older ones; beyond the capacity the most redundant keyframe goes.
+    pub(crate) fn add(
+        &mut self,
+        keyframe: Keyframe,
+        edges: impl IntoIterator<Item = (usize, MemoryEdge)>,
+        config: &MemoryConfig,
+    ) {
+        let newer = keyframe.index;
+        self.edges.extend(edges.into_iter().map(|(older, edge)| ((older, newer), edge)));
+        self.keyframes.push(keyframe);
+        if self.keyframes.len() > config.capacity.max(2) {
+            self.forget_most_redundant();
+        }
+    }
+
+    /// Removes the keyframe whose nearest neighbour is nearest; never the anchor nor the newest.
+    fn forget_most_redundant(&mut self) {
+        let spread = |i: usize| {
+            let own = &self.keyframes[i].obj_from_cam.rotation;
+            let others = self.keyframes.iter().enumerate().filter(|(j, _)| *j != i);
+            others.map(|(_, k)| swing_angle(own, &k.obj_from_cam.rotation)).fold(f64::MAX, f64::min)
+        };
+        let candidates = 1..self.keyframes.len().saturating_sub(1);
+        if let Some(worst) = candidates.min_by(|a, b| spread(*a).total_cmp(&spread(*b))) {
+            let gone = self.keyframes.remove(worst).index;
+            self.edges.retain(|(a, b), _| *a != gone && *b != gone);
+        }
+    }
+
+    /// Positions in [`MemoryPool::keyframes`] of the keyframes that take part in the pose graph of a new frame at
+    /// `obj_from_cam`: visible enough, then nearest by swing angle, at most K (paper section 3.3).
+    pub fn select(&self, obj_from_cam: &Isometry3<f64>, config: &MemoryConfig) -> Vec<usize> {
+        if self.keyframes.len() <= config.selected {
+            return (0..self.keyframes.len()).collect();
+        }
+        let mut visible: Vec<(f64, usize)> = self
+            .keyframes
+            .iter()
+            .enumerate()
+            .filter(|(_, k)| {
+                k.observation.visible_share(&k.obj_from_cam, obj_from_cam, config.visible_deg) > config.min_visible
+            })
+            .map(|(i, k)| (swing_angle(&k.obj_from_cam.rotation, &obj_from_cam.rotation), i))
+            .collect();
+        visible.sort_unstable_by(|a, b| a.0.total_cmp(&b.0));
+        visible.truncate(config.selected);
+        let mut chosen: Vec<usize> = visible.into_iter().map(|(_, i)| i).collect();
+        chosen.sort_unstable();
+        chosen
+    }
+
+    /// Takes the field's poses over; every other pose that was tracked against a moved keyframe is moved with it.
+    /// Returns the correction that a pose tracked next to video frame `near` needs: `(old, new)` of its keyframe.
+    pub(crate) fn apply_field_poses(
+        &mut self,
+        poses: &[(usize, Isometry3<f64>)],
+        near: usize,
+    ) -> Option<(Isometry3<f64>, Isometry3<f64>)> {
+        let mut moved: Vec<(usize, Isometry3<f64>, Isometry3<f64>)> = Vec::new();
+        for keyframe in &mut self.keyframes {
+            if let Some((_, pose)) = poses.iter().find(|(index, _)| *index == keyframe.index) {
+                moved.push((keyframe.index, keyframe.obj_from_cam, *pose));
+                keyframe.obj_from_cam = *pose;
+                keyframe.refined_by_field = true;
+            }
+        }
+        let nearest = |index: usize| moved.iter().min_by_key(|(i, _, _)| i.abs_diff(index));
+        for keyframe in &mut self.keyframes {
+            if poses.iter().all(|(index, _)| *index != keyframe.index)
+                && let Some((_, old, new)) = nearest(keyframe.index)
+            {
+                keyframe.obj_from_cam = carry(old, new, &keyframe.obj_from_cam);
+            }
+        }
+        nearest(near).map(|(_, old, new)| (*old, *new))
+    }
+}
+
+/// Moves `obj_from_cam` rigidly with a keyframe whose pose went from `old` to `new`: their relative motion stays.
+pub(crate) fn carry(old: &Isometry3<f64>, new: &Isometry3<f64>, obj_from_cam: &Isometry3<f64>) -> Isometry3<f64> {
+    new * old.inv_mul(obj_from_cam)
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::{UnitQuaternion, Vector3};
+
+    use super::*;
+    use crate::observation::tests::flat_observation;
+
+    fn pose(axis: [f64; 3], deg: f64) -> Isometry3<f64> {
+        let rotation = Vector3::from(axis) * deg.to_radians();
+        Isometry3::from_parts(Vector3::zeros().into(), UnitQuaternion::from_scaled_axis(rotation))
+    }
+
+    fn pool(poses: &[Isometry3<f64>], config: &MemoryConfig) -> MemoryPool {
+        let observation = Arc::new(flat_observation());
+        let mut pool = MemoryPool::default();
+        for (index, obj_from_cam) in poses.iter().enumerate() {
+            let observation = observation.clone();
+            let keyframe = Keyframe {
+                index,
+                id: index.to_string(),
+                obj_from_cam: *obj_from_cam,
+                refined_by_field: false,
+                observation,
+            };
+            pool.add(keyframe, [], config);
+        }
+        pool
+    }
+
+    #[test]
+    fn roll_is_no_new_view_and_tilt_is() {
+        let config = MemoryConfig::default();
+        let pool = pool(&[Isometry3::identity()], &config);
+        assert!(!pool.is_new_view(&pose([0.0, 0.0, 1.0], 90.0), &config));
+        assert!(!pool.is_new_view(&pose([1.0, 0.0, 0.0], config.min_swing_deg - 0.1), &config));
+        assert!(pool.is_new_view(&pose([1.0, 0.0, 0.0], config.min_swing_deg + 0.1), &config));
+    }
+
+    #[test]
+    fn the_capacity_holds_and_the_anchor_and_the_newest_stay() {
+        let config = MemoryConfig { capacity: 4, ..MemoryConfig::default() };
+        let poses: Vec<_> = [0.0, 10.0, 11.0, 40.0, 60.0].map(|d| pose([0.0, 1.0, 0.0], d)).to_vec();
+        let pool = pool(&poses, &config);
+        let kept: Vec<usize> = pool.keyframes().iter().map(|k| k.index).collect();
+        assert_eq!(kept.len(), 4);
+        assert!(kept.contains(&0) && kept.contains(&4) && kept.contains(&3));
+    }
+
+    #[test]
+    fn the_nearest_visible_views_are_selected() {
+        let config = MemoryConfig { selected: 2, ..MemoryConfig::default() };
+        let poses: Vec<_> = [0.0, 20.0, 40.0, 170.0].map(|d| pose([0.0, 1.0, 0.0], d)).to_vec();
+        assert_eq!(pool(&poses, &config).select(&pose([0.0, 1.0, 0.0], 25.0), &config), vec![1, 2]);
+    }
+
+    #[test]
+    fn a_pose_tracked_against_a_moved_keyframe_moves_with_it() {
+        let config = MemoryConfig::default();
+        let mut pool = pool(&[Isometry3::identity(), pose([0.0, 1.0, 0.0], 20.0)], &config);
+        let refined = Isometry3::translation(0.01, 0.0, 0.0) * pose([0.0, 1.0, 0.0], 22.0);
+        let before = pool.keyframes()[1].obj_from_cam;
+        let (old, new) = pool.apply_field_poses(&[(0, Isometry3::identity()), (1, refined)], 5).unwrap();
+        assert_eq!((old, new), (before, refined));
+        assert!(pool.keyframes().iter().all(|k| k.refined_by_field));
+        let live = pose([0.0, 1.0, 0.0], 21.0);
+        let relative = before.inv_mul(&live);
+        let carried = new.inv_mul(&carry(&old, &new, &live));
+        assert!((relative.to_homogeneous() - carried.to_homogeneous()).norm() < 1e-12);
+    }
+}

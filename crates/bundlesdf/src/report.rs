@@ -1,0 +1,151 @@
+//! `run.json` and `keyframes.json`: what a run did, for programs.
+
+use marching_cubes::TriMesh;
+use serde::Serialize;
+
+use crate::{
+    config::Config,
+    pool::Keyframe,
+    tracker::{FieldSummary, FrameResult, Status},
+    video::VideoRun,
+};
+
+/// The content of `run.json`.
+#[derive(Clone, Debug, Serialize)]
+pub struct RunReport {
+    /// Version of this crate.
+    pub version: &'static str,
+    /// The config that was used, defaults included.
+    pub config: Config,
+    /// One entry per frame.
+    pub frames: Vec<FrameReport>,
+    /// Number of keyframes.
+    pub keyframes: usize,
+    /// What the field did.
+    pub field: FieldSummary,
+    /// Frames per second of the tracker, from the median time of a frame; waiting for the field doesn't count.
+    pub tracking_hz_median: f64,
+    /// Wall-clock time of the whole run (seconds).
+    pub wall_s: f64,
+    /// The final mesh.
+    pub mesh: MeshReport,
+    /// Whether the run was stopped before the last frame.
+    pub interrupted: bool,
+}
+
+/// One frame of `run.json`.
+#[derive(Clone, Debug, Serialize)]
+pub struct FrameReport {
+    /// Name of the frame.
+    pub id: String,
+    /// How much its pose can be trusted.
+    pub status: Status,
+    /// Feature matches that agree with the pose.
+    pub inliers: usize,
+    /// Share of the compared depth that agrees with the pose.
+    pub depth_agreement: f64,
+    /// Whether it became a keyframe.
+    pub keyframe: bool,
+    /// Milliseconds by stage.
+    pub ms: StageMillis,
+}
+
+/// Milliseconds by stage.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct StageMillis {
+    /// Segmentation.
+    pub segment: f64,
+    /// Depth clean-up, matching, RANSAC.
+    #[serde(rename = "match")]
+    pub matching: f64,
+    /// Pose graph.
+    pub posegraph: f64,
+    /// Everything but waiting for the field.
+    pub total: f64,
+}
+
+/// The mesh in numbers.
+#[derive(Clone, Copy, Debug, Default, Serialize)]
+pub struct MeshReport {
+    /// Vertices.
+    pub vertices: usize,
+    /// Triangles.
+    pub faces: usize,
+    /// Whether every edge has exactly two triangles.
+    pub watertight: bool,
+}
+
+impl MeshReport {
+    fn of(mesh: &TriMesh) -> Self {
+        Self { vertices: mesh.vertices.len(), faces: mesh.triangles.len(), watertight: mesh.is_watertight() }
+    }
+}
+
+impl RunReport {
+    /// Summarises a run.
+    #[must_use]
+    pub fn new(config: &Config, run: &VideoRun) -> Self {
+        let mut totals: Vec<f64> = run.frames.iter().map(|f| f.times.total.as_secs_f64()).collect();
+        totals.sort_unstable_by(f64::total_cmp);
+        let median = totals.get(totals.len() / 2).copied().unwrap_or(0.0);
+        Self {
+            version: env!("CARGO_PKG_VERSION"),
+            config: config.clone(),
+            frames: run.frames.iter().map(FrameReport::of).collect(),
+            keyframes: run.reconstruction.keyframes.len(),
+            field: run.reconstruction.field.clone(),
+            tracking_hz_median: if median > 0.0 { 1.0 / median } else { 0.0 },
+            wall_s: run.wall.as_secs_f64(),
+            mesh: run.reconstruction.mesh.as_ref().map_or_else(MeshReport::default, MeshReport::of),
+            interrupted: run.interrupted,
+        }
+    }
+
+    /// Number of frames with `status`.
+    #[must_use]
+    pub fn count(&self, status: Status) -> usize {
+        self.frames.iter().filter(|f| f.status == status).count()
+    }
+}
+
+impl FrameReport {
+    fn of(result: &FrameResult) -> Self {
+        let ms = |d: std::time::Duration| (d.as_secs_f64() * 1e6).round() / 1e3;
+        let t = &result.times;
+        Self {
+            id: result.id.clone(),
+            status: result.status,
+            inliers: result.inliers,
+            depth_agreement: (result.depth_agreement * 1e3).round() / 1e3,
+            keyframe: result.keyframe,
+            ms: StageMillis {
+                segment: ms(t.segment),
+                matching: ms(t.matching),
+                posegraph: ms(t.posegraph),
+                total: ms(t.total),
+            },
+        }
+    }
+}
+
+/// One keyframe of `keyframes.json`.
+#[derive(Clone, Debug, Serialize)]
+pub(crate) struct KeyframeReport {
+    index: usize,
+    id: String,
+    /// Row-major 4x4, object to camera.
+    cam_from_obj: [[f64; 4]; 4],
+    refined_by_field: bool,
+}
+
+impl KeyframeReport {
+    pub(crate) fn of(keyframe: &Keyframe) -> Self {
+        let m = keyframe.obj_from_cam.inverse().to_homogeneous();
+        Self {
+            index: keyframe.index,
+            id: keyframe.id.clone(),
+            cam_from_obj: std::array::from_fn(|r| std::array::from_fn(|c| m[(r, c)])),
+            refined_by_field: keyframe.refined_by_field,
+        }
+    }
+}

@@ -1,0 +1,31 @@
+//! The observed surface so far: what the segmentation compares a new frame with.
+
+use std::collections::HashSet;
+
+use mask_tracker::SurfacePoint;
+
+use crate::{
+    pool::MemoryPool,
+    tracker::{moved_point, moved_vector},
+};
+
+/// Spacing of the fused points (metres).
+const SPACING: f32 = 0.004;
+
+/// The sample points of all keyframes in the object frame, at most one per voxel and facing direction.
+pub(crate) fn fused_surface(pool: &MemoryPool) -> Vec<SurfacePoint> {
+    let mut seen = HashSet::new();
+    let mut surface = Vec::new();
+    for keyframe in pool.keyframes() {
+        for (p, n) in &keyframe.observation.samples {
+            let position = moved_point(&keyframe.obj_from_cam, *p);
+            let normal = moved_vector(&keyframe.obj_from_cam, *n);
+            let voxel = position.map(|v| (v / SPACING).floor() as i32);
+            let octant = normal.map(|v| v > 0.0);
+            if seen.insert((voxel, octant)) {
+                surface.push(SurfacePoint { position, normal });
+            }
+        }
+    }
+    surface
+}

@@ -1,0 +1,457 @@
+//! The online tracker: one call per frame (paper figure 2).
+
+mod coarse;
+mod correspond;
+mod graph;
+mod motion;
+mod result;
+mod rounds;
+mod verify;
+
+use std::{sync::Arc, time::Instant};
+
+use mask_tracker::{Prior, Propagate, Segmentation, SurfacePoint, VideoSegmenter};
+use matcher::{ScaleSpaceMatcher, klt::KltOptions};
+use nalgebra::{Isometry3, Translation3};
+use neural_field::TrainedField;
+use rgbd_io::{Image, Mask, RgbdFrame};
+
+use self::{
+    coarse::{
+        CoarsePose, Gates, agreement_with_memory, coarse_from_matches, coarse_from_tracks, descriptor_matches,
+        relocalise, within,
+    },
+    correspond::guided_tracks,
+    graph::{GraphProblem, GraphResult},
+    motion::Motion,
+};
+pub(crate) use self::correspond::{moved_point, moved_vector};
+pub use self::{
+    result::{FrameResult, StageTimes, Status},
+    rounds::{FieldSummary, Reconstruction},
+};
+use crate::{
+    config::{Config, ConfigError, Schedule},
+    field_worker::FieldWorker,
+    observation::Observation,
+    pool::{Keyframe, MemoryEdge, MemoryPool},
+    surface::fused_surface,
+};
+
+/// The last frame that was tracked: the reference of the next one.
+struct Reference {
+    index: usize,
+    observation: Arc<Observation>,
+    pose: Isometry3<f64>,
+}
+
+/// Tracks one object through a video and reconstructs it.
+///
+/// Feed frames in order with [`Tracker::track`]; the first one that has a mask defines the object and its frame.
+/// Frames with a mask of their own use it; for all others the object is segmented from what is known so far.
+pub struct Tracker {
+    config: Config,
+    schedule: Schedule,
+    pool: MemoryPool,
+    matcher: ScaleSpaceMatcher,
+    segmenter: Box<dyn VideoSegmenter>,
+    /// The last frame that came with its own mask: where segmentation starts when masks stop coming.
+    given: Option<(RgbdFrame, Mask)>,
+    surface: Vec<SurfacePoint>,
+    reference: Option<Reference>,
+    motion: Motion,
+    worker: Option<FieldWorker>,
+    field: Option<Arc<TrainedField>>,
+    summary: FieldSummary,
+    new_keyframes: usize,
+    next_index: usize,
+    first_valid: usize,
+}
+
+/// A pose and what supports it, before it is judged.
+struct Estimate {
+    pose: Isometry3<f64>,
+    inliers: usize,
+    relocalised: bool,
+    edges: Vec<(usize, MemoryEdge)>,
+    moved: Vec<(usize, Isometry3<f64>)>,
+}
+
+impl Tracker {
+    /// Confidence of a pose that the segmentation's prior is drawn with: from before a loss, extrapolated, measured.
+    const STALE_POSE: f32 = 0.2;
+    const PREDICTED_POSE: f32 = 0.8;
+    const ESTIMATED_POSE: f32 = 1.0;
+
+    /// A tracker that has seen nothing yet.
+    ///
+    /// # Errors
+    /// When a value of the config is outside its range.
+    pub fn new(config: Config, schedule: Schedule) -> Result<Self, ConfigError> {
+        config.validate().map_err(|problem| ConfigError { path: "config".into(), problem })?;
+        let worker = if config.field.enabled { FieldWorker::start() } else { None };
+        Ok(Self {
+            config,
+            schedule,
+            pool: MemoryPool::default(),
+            matcher: ScaleSpaceMatcher::default(),
+            segmenter: Box::new(Propagate::default()),
+            given: None,
+            surface: Vec::new(),
+            reference: None,
+            motion: Motion::default(),
+            worker,
+            field: None,
+            summary: FieldSummary::default(),
+            new_keyframes: 0,
+            next_index: 0,
+            first_valid: 0,
+        })
+    }
+
+    /// The memory pool.
+    pub fn pool(&self) -> &MemoryPool {
+        &self.pool
+    }
+
+    /// What the field has done so far.
+    pub fn field_summary(&self) -> &FieldSummary {
+        &self.summary
+    }
+
+    /// The newest trained field, once there is one.
+    pub fn field(&self) -> Option<&Arc<TrainedField>> {
+        self.field.as_ref()
+    }
+
+    /// Takes the next frame and answers its pose. Never fails: what can't be tracked has the status
+    /// [`Status::Lost`] and the last good pose.
+    pub fn track(&mut self, frame: &RgbdFrame) -> FrameResult {
+        let index = self.next_index;
+        self.next_index += 1;
+        let _span = tracing::info_span!("frame", index, id = frame.id).entered();
+        self.take_field_reply(false);
+        let start = Instant::now();
+        let mut times = StageTimes::default();
+        let masked = self.segment(frame);
+        times.segment = start.elapsed();
+        let mut result = self.track_masked(index, frame, masked, &mut times);
+        times.total = start.elapsed();
+        result.times = times;
+        if self.round_is_due() {
+            self.start_round();
+            if self.schedule == Schedule::Lockstep {
+                self.take_field_reply(true);
+                if result.keyframe
+                    && let Some(keyframe) = self.pool.get(index)
+                {
+                    result.cam_from_obj = keyframe.obj_from_cam.inverse();
+                }
+            }
+        }
+        result
+    }
+
+    /// Takes a frame that could not be read: it counts, and its pose is the last good one.
+    pub fn skip(&mut self, id: &str) -> FrameResult {
+        let index = self.next_index;
+        self.next_index += 1;
+        self.lost(index, id)
+    }
+
+    fn track_masked(
+        &mut self,
+        index: usize,
+        frame: &RgbdFrame,
+        masked: Masked,
+        times: &mut StageTimes,
+    ) -> FrameResult {
+        let begin = Instant::now();
+        let observation = match Observation::new(index, frame, masked.mask(), &self.config) {
+            Ok(observation) => observation,
+            Err(reason) => {
+                tracing::debug!(%reason, "lost");
+                times.matching = begin.elapsed();
+                return self.lost(index, &frame.id);
+            }
+        };
+        if self.pool.keyframes().is_empty() {
+            times.matching = begin.elapsed();
+            return self.initialise(frame, observation);
+        }
+        if observation.valid * 40 < self.first_valid {
+            times.matching = begin.elapsed();
+            return self.lost(index, &frame.id);
+        }
+        let coarse = self.coarse(&observation);
+        let (coarse, relocalised) = match coarse {
+            Some((coarse, relocalised)) => (Some(coarse), relocalised),
+            None => (None, false),
+        };
+        times.matching = begin.elapsed();
+        let begin = Instant::now();
+        let observation = self.clean_up(frame, masked, coarse.as_ref(), observation);
+        times.segment += begin.elapsed();
+        let begin = Instant::now();
+        let estimate = self.optimise(&observation, coarse, relocalised);
+        let result = self.judge(index, frame, observation, estimate);
+        times.posegraph = begin.elapsed();
+        result
+    }
+
+    /// The first usable frame defines the object's frame: axes of the camera, origin in the middle of the cloud.
+    fn initialise(&mut self, frame: &RgbdFrame, observation: Observation) -> FrameResult {
+        let centre = observation.centre();
+        let obj_from_cam = Isometry3::from_parts(Translation3::from(-centre.coords), Default::default());
+        self.first_valid = observation.valid;
+        let index = observation.index;
+        let inliers = observation.corners(self.config.coarse.max_corners).len();
+        let observation = Arc::new(observation);
+        self.reference = Some(Reference { index, observation: observation.clone(), pose: obj_from_cam });
+        self.motion.observe(index, &obj_from_cam);
+        self.remember(frame, index, obj_from_cam, observation, Vec::new());
+        FrameResult {
+            index,
+            id: frame.id.clone(),
+            cam_from_obj: obj_from_cam.inverse(),
+            status: Status::Tracked,
+            inliers,
+            depth_agreement: 1.0,
+            keyframe: true,
+            times: StageTimes::default(),
+        }
+    }
+
+    /// Pose from the previous frame, or else from memory; the flag tells that it came from memory.
+    fn coarse(&self, observation: &Observation) -> Option<(CoarsePose, bool)> {
+        let reference = self.reference.as_ref()?;
+        let c = &self.config.coarse;
+        let seed = self.config.seed ^ ((observation.index as u64) << 20);
+        let gap = observation.index - reference.index;
+        let near = (&*reference.observation, &reference.pose);
+        let mut guesses = vec![self.motion.predict(observation.index).unwrap_or(reference.pose)];
+        if guesses[0] != reference.pose {
+            guesses.push(reference.pose);
+        }
+        let gates = Gates::between(c, gap);
+        let tracked = coarse_from_tracks(near, observation, &guesses, gates, c, seed);
+        let enough = |p: &CoarsePose| p.matches.len() >= 2 * c.min_inliers;
+        if gap <= 3 && tracked.as_ref().is_some_and(enough) {
+            return tracked.map(|p| (p, false));
+        }
+        let matches = descriptor_matches(&reference.observation, observation, &self.matcher);
+        let matched =
+            coarse_from_matches(matches, &reference.pose, &reference.pose, gates, c.min_inliers, c, seed);
+        let best = [tracked, matched].into_iter().flatten().max_by_key(|p| p.matches.len());
+        if gap <= 1 && best.is_some() {
+            return best.map(|p| (p, false));
+        }
+        let found = relocalise(&self.pool, observation, &self.matcher, &self.config);
+        match (best, found) {
+            (Some(near), Some(far)) if near.matches.len() >= far.matches.len() => Some((near, false)),
+            (_, Some(far)) => Some((far, true)),
+            (near, None) => near.map(|p| (p, false)),
+        }
+    }
+
+    /// Pose graph over the new frame and memory, starting from the coarse pose or, without one, from the prediction.
+    fn optimise(&self, observation: &Observation, coarse: Option<CoarsePose>, relocalised: bool) -> Estimate {
+        let fallback = self.reference.as_ref().map_or_else(Isometry3::identity, |r| r.pose);
+        let guess = coarse.as_ref().map_or(fallback, |c| c.pose);
+        let selected = self.pool.select(&guess, &self.config.memory);
+        let edges = self.memory_edges(observation, &guess, &selected);
+        let matched: usize = edges.iter().map(|(_, e)| e.older.len()).sum();
+        let coarse_edge = coarse.as_ref().map(|c| MemoryEdge::from_matches(&c.matches));
+        // Memory alone holds the pose when it can; the previous frame would only add its own drift.
+        let previous = match (&self.reference, &coarse_edge) {
+            (Some(r), Some(edge)) if !relocalised && matched < 3 * self.config.coarse.min_inliers => {
+                Some((&*r.observation, r.pose, edge))
+            }
+            _ => None,
+        };
+        let problem = GraphProblem {
+            observation,
+            guess,
+            pool: &self.pool,
+            selected: &selected,
+            edges: &edges,
+            previous,
+            field: self.field.as_deref(),
+            config: &self.config.graph,
+        };
+        let solved = problem.solve();
+        let inliers = matched.max(coarse.as_ref().map_or(0, |c| c.matches.len()));
+        match solved {
+            Some(GraphResult { pose, moved }) if within(Gates::CORRECTION, &guess, &pose) => {
+                Estimate { pose, inliers, relocalised, edges, moved }
+            }
+            _ => Estimate { pose: guess, inliers, relocalised, edges, moved: Vec::new() },
+        }
+    }
+
+    /// Verified matches of the new frame with each selected keyframe.
+    fn memory_edges(
+        &self,
+        observation: &Observation,
+        guess: &Isometry3<f64>,
+        selected: &[usize],
+    ) -> Vec<(usize, MemoryEdge)> {
+        let c = &self.config.coarse;
+        let mut edges = Vec::new();
+        for (position, keyframe) in selected.iter().filter_map(|p| Some((*p, self.pool.keyframes().get(*p)?))) {
+            let to_from = guess.inv_mul(&keyframe.obj_from_cam);
+            let options = KltOptions::default();
+            let tracks =
+                guided_tracks(&keyframe.observation, observation, &to_from, c.max_corners_memory, &options);
+            let seed = self.config.seed ^ ((observation.index as u64) << 20) ^ keyframe.index as u64;
+            let gates = Gates::CORRECTION;
+            let verified =
+                coarse_from_matches(tracks, &keyframe.obj_from_cam, guess, gates, c.min_inliers, c, seed);
+            if let Some(verified) = verified {
+                edges.push((position, MemoryEdge::from_matches(&verified.matches)));
+            }
+        }
+        edges
+    }
+
+    /// Decides the frame's status and, with it, what is kept of the frame.
+    fn judge(
+        &mut self,
+        index: usize,
+        frame: &RgbdFrame,
+        observation: Observation,
+        estimate: Estimate,
+    ) -> FrameResult {
+        /// Less depth agreement than this contradicts the pose.
+        const CONTRADICTED: f64 = 0.3;
+        const CONVINCING: f64 = 0.5;
+        let agreement = agreement_with_memory(&self.pool, &observation, &estimate.pose);
+        let enough = estimate.inliers >= self.config.coarse.min_inliers;
+        let share = agreement.inlier_share;
+        let status = match (enough, share) {
+            (true, s) if s >= CONVINCING && estimate.relocalised => Status::Relocalised,
+            (true, s) if s >= CONVINCING => Status::Tracked,
+            (true, s) if s >= CONTRADICTED => Status::Weak,
+            (false, s) if s >= CONVINCING => Status::Weak,
+            _ => return FrameResult { depth_agreement: share, ..self.lost(index, &frame.id) },
+        };
+        tracing::debug!(status = status.as_str(), inliers = estimate.inliers, agreement = share, "judged");
+        for (position, pose) in &estimate.moved {
+            if let Some(keyframe) = self.pool.keyframes_mut().get_mut(*position) {
+                keyframe.obj_from_cam = *pose;
+            }
+        }
+        let observation = Arc::new(observation);
+        let pose = estimate.pose;
+        self.reference = Some(Reference { index, observation: observation.clone(), pose });
+        self.motion.observe(index, &pose);
+        let keyframe = status == Status::Tracked
+            && observation.valid as f64 >= self.config.memory.min_valid_share * self.first_valid as f64
+            && self.pool.is_new_view(&pose, &self.config.memory);
+        if keyframe {
+            self.remember(frame, index, pose, observation, estimate.edges);
+        }
+        FrameResult {
+            index,
+            id: frame.id.clone(),
+            cam_from_obj: pose.inverse(),
+            status,
+            inliers: estimate.inliers,
+            depth_agreement: share,
+            keyframe,
+            times: StageTimes::default(),
+        }
+    }
+
+    fn remember(
+        &mut self,
+        frame: &RgbdFrame,
+        index: usize,
+        obj_from_cam: Isometry3<f64>,
+        observation: Arc<Observation>,
+        edges: Vec<(usize, MemoryEdge)>,
+    ) {
+        let by_index: Vec<_> = edges
+            .into_iter()
+            .filter_map(|(position, edge)| Some((self.pool.keyframes().get(position)?.index, edge)))
+            .collect();
+        let keyframe =
+            Keyframe { index, id: frame.id.clone(), obj_from_cam, refined_by_field: false, observation };
+        self.pool.add(keyframe, by_index, &self.config.memory);
+        self.new_keyframes += 1;
+        self.surface = fused_surface(&self.pool);
+    }
+
+    fn lost(&mut self, index: usize, id: &str) -> FrameResult {
+        self.motion.forget();
+        let pose = self.reference.as_ref().map_or_else(Isometry3::identity, |r| r.pose);
+        FrameResult {
+            index,
+            id: id.to_owned(),
+            cam_from_obj: pose.inverse(),
+            status: Status::Lost,
+            inliers: 0,
+            depth_agreement: 0.0,
+            keyframe: false,
+            times: StageTimes::default(),
+        }
+    }
+
+    /// The mask to use for `frame`: its own, or the propagated one.
+    fn segment(&mut self, frame: &RgbdFrame) -> Masked {
+        if let Some(mask) = frame.mask.as_ref().filter(|m| m.size() == frame.color.size()) {
+            self.given = Some((RgbdFrame { mask: None, ..frame.clone() }, mask.clone()));
+            return Masked::Given(mask.clone());
+        }
+        if let Some((given, mask)) = self.given.take() {
+            self.segmenter.start(&given, &mask);
+        }
+        if self.pool.keyframes().is_empty() {
+            return Masked::Given(Image::filled(frame.color.width(), frame.color.height(), 0));
+        }
+        let index = self.next_index - 1;
+        let pose = self.motion.predict(index).or_else(|| self.reference.as_ref().map(|r| r.pose));
+        let lost = self.reference.as_ref().is_none_or(|r| r.index + 1 < index);
+        let prior = Prior {
+            cam_from_obj: pose.map(|p| p.inverse()),
+            model: &self.surface,
+            confidence: if lost { Self::STALE_POSE } else { Self::PREDICTED_POSE },
+        };
+        Masked::Propagated(self.segmenter.next(frame, &prior))
+    }
+
+    /// Second pass of a propagated mask, now with the coarse pose: what the pose graph, the pool and the field see.
+    fn clean_up(
+        &mut self,
+        frame: &RgbdFrame,
+        masked: Masked,
+        coarse: Option<&CoarsePose>,
+        observation: Observation,
+    ) -> Observation {
+        let Masked::Propagated(segmentation) = masked else { return observation };
+        let prior = Prior {
+            cam_from_obj: coarse.map(|c| c.pose.inverse()),
+            model: &self.surface,
+            confidence: if coarse.is_some() { Self::ESTIMATED_POSE } else { Self::STALE_POSE },
+        };
+        let refined = self.segmenter.refine(frame, segmentation, &prior);
+        Observation::new(observation.index, frame, &refined.mask, &self.config).unwrap_or(observation)
+    }
+}
+
+/// A frame's mask and where it comes from.
+enum Masked {
+    /// It came with the frame.
+    Given(Mask),
+    /// It was propagated, and can be improved once the pose is known.
+    Propagated(Segmentation),
+}
+
+impl Masked {
+    fn mask(&self) -> &Mask {
+        match self {
+            Self::Given(mask) => mask,
+            Self::Propagated(segmentation) => &segmentation.mask,
+        }
+    }
+}

@@ -1,0 +1,143 @@
+//! The tracker's side of the Neural Object Field: when rounds start, what their poses change, the final mesh.
+
+use std::sync::Arc;
+
+use marching_cubes::TriMesh;
+use neural_field::{FieldConfig, TrainedField};
+use serde::Serialize;
+
+use super::Tracker;
+use crate::{
+    field_worker::{FieldReply, FieldRequest},
+    pool::{Keyframe, carry},
+    surface::fused_surface,
+};
+
+/// What the field has done.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct FieldSummary {
+    /// Rounds finished.
+    pub rounds: usize,
+    /// Median time of an online round (milliseconds).
+    pub ms_per_round_median: f64,
+    /// Training steps of an online round.
+    pub steps: usize,
+    /// Why rounds failed, if any did.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub failures: Vec<String>,
+    /// Time of each finished online round (milliseconds).
+    #[serde(skip)]
+    pub(super) times: Vec<f64>,
+}
+
+/// The final result.
+#[derive(Debug)]
+pub struct Reconstruction {
+    /// Metric mesh in the object frame; `None` without a trained field.
+    pub mesh: Option<TriMesh>,
+    /// Keyframes with their final poses.
+    pub keyframes: Vec<Keyframe>,
+    /// What the field did.
+    pub field: FieldSummary,
+}
+
+impl Tracker {
+    pub(super) fn round_is_due(&self) -> bool {
+        let settings = &self.config.field;
+        let idle = self.worker.as_ref().is_some_and(|w| !w.is_busy());
+        let first = self.field.is_none() && self.pool.keyframes().len() >= settings.first_round_keyframes;
+        // Beside a running tracker every new keyframe is worth a round; in lockstep a round waits for a batch.
+        let batch = match self.schedule {
+            crate::Schedule::Lockstep => settings.keyframes_per_round,
+            crate::Schedule::Realtime => 1,
+        };
+        let more = self.field.is_some() && self.new_keyframes >= batch;
+        idle && self.new_keyframes > 0 && (first || more)
+    }
+
+    pub(super) fn start_round(&mut self) {
+        let config =
+            FieldConfig { steps: self.config.field.steps, seed: self.config.seed, ..FieldConfig::realtime() };
+        self.submit(config);
+    }
+
+    fn submit(&mut self, config: FieldConfig) {
+        let frames = self
+            .pool
+            .keyframes()
+            .iter()
+            .map(|k| (k.index, k.observation.images.clone(), k.obj_from_cam))
+            .collect();
+        self.new_keyframes = 0;
+        if let Some(worker) = &mut self.worker {
+            worker.submit(FieldRequest { config, frames });
+        }
+    }
+
+    /// Takes the reply of the round under way, if there is one, and moves every pose that depends on it.
+    pub(super) fn take_field_reply(&mut self, wait: bool) {
+        let reply = self.worker.as_mut().and_then(|w| w.take(wait));
+        if let Some(reply) = reply {
+            self.apply(reply);
+        }
+    }
+
+    fn apply(&mut self, reply: FieldReply) {
+        let update = match reply {
+            Ok(update) => update,
+            Err(reason) => {
+                tracing::warn!(%reason, "a field round failed; tracking goes on without it");
+                self.summary.failures.push(reason);
+                return;
+            }
+        };
+        let near = self.reference.as_ref().map_or(0, |r| r.index);
+        if let Some((old, new)) = self.pool.apply_field_poses(&update.poses, near) {
+            if let Some(reference) = &mut self.reference {
+                reference.pose = carry(&old, &new, &reference.pose);
+            }
+            self.motion.carry(|pose| carry(&old, &new, pose));
+        }
+        self.field = Some(update.field);
+        self.surface = fused_surface(&self.pool);
+        self.summary.rounds += 1;
+        self.summary.steps = self.config.field.steps;
+        self.summary.times.push(update.elapsed.as_secs_f64() * 1e3);
+        self.summary.ms_per_round_median = median(&self.summary.times);
+    }
+
+    /// Ends the tracking: a last round over all keyframes and the mesh of its field.
+    pub fn finish(mut self) -> Reconstruction {
+        self.take_field_reply(true);
+        if self.worker.is_some() && !self.pool.keyframes().is_empty() {
+            let online = self.summary.clone();
+            let config =
+                FieldConfig { steps: self.config.field.final_steps, seed: self.config.seed, ..FieldConfig::realtime() };
+            self.submit(config);
+            self.take_field_reply(true);
+            // The last round has its own length: it would distort the median of the online ones.
+            let failures = std::mem::take(&mut self.summary.failures);
+            self.summary = FieldSummary { rounds: self.summary.rounds, failures, ..online };
+        }
+        self.stop()
+    }
+
+    /// Ends the tracking at once: the mesh of the newest field, without a last round.
+    pub fn stop(self) -> Reconstruction {
+        let spacing = self.config.mesh.spacing;
+        let mesh = self.field.as_ref().map(|field| final_mesh(field, spacing));
+        let keyframes = self.pool.keyframes().to_vec();
+        Reconstruction { mesh, keyframes, field: self.summary }
+    }
+}
+
+/// The largest component of the zero level.
+fn final_mesh(field: &Arc<TrainedField>, spacing: f32) -> TriMesh {
+    field.extract_mesh(spacing).largest_component()
+}
+
+fn median(values: &[f64]) -> f64 {
+    let mut sorted = values.to_vec();
+    sorted.sort_unstable_by(f64::total_cmp);
+    sorted.get(sorted.len() / 2).copied().unwrap_or(0.0)
+}

@@ -1,0 +1,169 @@
+//! The command line on good and bad input: what it writes, what it says, how it exits.
+#![allow(clippy::unwrap_used, clippy::expect_used)]
+
+use std::{
+    fs,
+    path::{Path, PathBuf},
+    process::{Command, Output},
+};
+
+use rgbd_synth::{Masks, Sequence, write_custom};
+
+fn bundlesdf(args: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_bundlesdf")).args(args).output().unwrap()
+}
+
+/// A small valid video in a temporary folder.
+fn video(frames: usize) -> (tempfile::TempDir, PathBuf) {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("video");
+    write_custom(&Sequence::tiny().truncated(frames).with_masks(Masks::Every), &path).unwrap();
+    (dir, path)
+}
+
+fn files(folder: &Path) -> Vec<PathBuf> {
+    let mut files: Vec<_> = fs::read_dir(folder).unwrap().map(|e| e.unwrap().path()).collect();
+    files.sort();
+    files
+}
+
+/// Runs on the damaged video: exit code 2, one line on standard error that holds every word, nothing half-written.
+fn refused(video: &Path, words: &[&str]) {
+    let out = video.parent().unwrap().join("out");
+    let output = bundlesdf(&["run", video.to_str().unwrap(), "--out", out.to_str().unwrap()]);
+    let text = String::from_utf8(output.stderr).unwrap();
+    assert_eq!(output.status.code(), Some(2), "{text}");
+    let errors: Vec<_> = text.lines().filter(|l| l.starts_with("error: ")).collect();
+    assert_eq!(errors.len(), 1, "{text}");
+    for word in words {
+        assert!(errors[0].contains(word), "{word} is not in: {}", errors[0]);
+    }
+    if out.exists() {
+        for file in files(&out).into_iter().filter(|f| f.is_file()) {
+            let name = file.file_name().unwrap().to_str().unwrap().to_owned();
+            assert!(["run.json", "keyframes.json", "mesh.ply", "mesh.obj"].contains(&name.as_str()), "{name}");
+        }
+    }
+}
+
+#[test]
+fn a_run_writes_a_pose_per_frame_and_its_report() {
+    let (dir, video) = video(8);
+    let out = dir.path().join("out");
+    let args = ["run", video.to_str().unwrap(), "--out", out.to_str().unwrap()];
+    let output = bundlesdf(&args);
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let names = |p: PathBuf| files(&p).iter().map(|f| f.file_stem().unwrap().to_owned()).collect::<Vec<_>>();
+    assert_eq!(names(out.join("ob_in_cam")), names(video.join("rgb")));
+    let report: serde_json::Value = serde_json::from_slice(&fs::read(out.join("run.json")).unwrap()).unwrap();
+    assert_eq!(report["frames"].as_array().unwrap().len(), 8);
+    for key in ["version", "config", "keyframes", "field", "tracking_hz_median", "wall_s", "mesh"] {
+        assert!(!report[key].is_null(), "{key}");
+    }
+    for key in ["segment", "match", "posegraph", "total"] {
+        assert!(report["frames"][3]["ms"][key].is_number(), "{key}");
+    }
+    assert!(out.join("keyframes.json").exists());
+    // A second run doesn't overwrite it unless told to.
+    let again = bundlesdf(&args);
+    assert_eq!(again.status.code(), Some(2));
+    assert!(String::from_utf8_lossy(&again.stderr).contains("--force"));
+}
+
+#[test]
+fn check_accepts_a_good_video_and_names_what_is_wrong_with_a_bad_one() {
+    let (_dir, video) = video(4);
+    let path = video.to_str().unwrap();
+    let good = bundlesdf(&["check", path]);
+    assert_eq!(good.status.code(), Some(0), "{}", String::from_utf8_lossy(&good.stdout));
+    fs::remove_file(video.join("cam_K.txt")).unwrap();
+    let bad = bundlesdf(&["check", path]);
+    assert_eq!(bad.status.code(), Some(2));
+    assert!(String::from_utf8_lossy(&bad.stdout).contains("cam_K.txt"));
+}
+
+#[test]
+fn a_missing_folder_is_named() {
+    let dir = tempfile::tempdir().unwrap();
+    refused(&dir.path().join("nowhere"), &["nowhere"]);
+}
+
+#[test]
+fn a_video_without_frames_is_refused() {
+    let (_dir, video) = video(2);
+    files(&video.join("rgb")).iter().for_each(|f| fs::remove_file(f).unwrap());
+    refused(&video, &["rgb"]);
+}
+
+#[test]
+fn a_missing_first_mask_is_explained() {
+    let (_dir, video) = video(2);
+    files(&video.join("masks")).iter().for_each(|f| fs::remove_file(f).unwrap());
+    refused(&video, &["mask", "first frame"]);
+}
+
+#[test]
+fn an_empty_first_mask_is_refused() {
+    let (_dir, video) = video(2);
+    let mask = files(&video.join("masks")).remove(0);
+    rgbd_io::write_png_mask(&mask, &rgbd_io::Image::filled(160, 120, 0)).unwrap();
+    refused(&video, &[mask.file_name().unwrap().to_str().unwrap()]);
+}
+
+#[test]
+fn colour_and_depth_of_different_sizes_are_refused() {
+    let (_dir, video) = video(2);
+    let depth = files(&video.join("depth")).remove(0);
+    rgbd_io::write_png_depth(&depth, &rgbd_io::Image::filled(80, 80, 0.5)).unwrap();
+    refused(&video, &[depth.file_name().unwrap().to_str().unwrap(), "80"]);
+}
+
+#[test]
+fn eight_bit_depth_is_refused() {
+    let (_dir, video) = video(2);
+    let depth = files(&video.join("depth")).remove(0);
+    rgbd_io::write_png_mask(&depth, &rgbd_io::Image::filled(160, 120, 200)).unwrap();
+    refused(&video, &[depth.file_name().unwrap().to_str().unwrap(), "16"]);
+}
+
+#[test]
+fn depth_in_metres_is_recognised() {
+    let (_dir, video) = video(2);
+    for depth in files(&video.join("depth")) {
+        // Half a metre stored as if the unit were a metre: 0 or 1.
+        rgbd_io::write_png_depth(&depth, &rgbd_io::Image::filled(160, 120, 0.001)).unwrap();
+    }
+    refused(&video, &["--depth-scale"]);
+}
+
+#[test]
+fn a_truncated_image_is_named() {
+    for frame in [0, 1] {
+        let (_dir, video) = video(3);
+        let depth = files(&video.join("depth")).remove(frame);
+        let bytes = fs::read(&depth).unwrap();
+        fs::write(&depth, &bytes[..bytes.len() / 2]).unwrap();
+        refused(&video, &[depth.file_name().unwrap().to_str().unwrap()]);
+    }
+}
+
+#[test]
+fn intrinsics_that_are_not_numbers_are_refused() {
+    let (_dir, video) = video(2);
+    fs::write(video.join("cam_K.txt"), "nan 0 80\n0 100 60\n0 0 1\n").unwrap();
+    refused(&video, &["cam_K.txt"]);
+}
+
+#[test]
+fn a_config_with_an_unknown_key_is_refused() {
+    let (dir, video) = video(2);
+    let config = dir.path().join("c.toml");
+    fs::write(&config, "[graph]\niteration = 3\n").unwrap();
+    let out = dir.path().join("out");
+    let args = ["run", video.to_str().unwrap(), "--out", out.to_str().unwrap(), "--config", config.to_str().unwrap()];
+    let output = bundlesdf(&args);
+    let text = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert_eq!(output.status.code(), Some(2), "{text}");
+    assert!(text.contains("c.toml") && text.contains("iteration"), "{text}");
+    assert!(!out.exists());
+}
