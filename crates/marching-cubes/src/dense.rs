@@ -1,0 +1,269 @@
+//! Extraction from a full lattice, one slab of cells at a time.
+
+use crate::table::{CASES, EDGES};
+use crate::{TriMesh, mesh::usable_lattice};
+
+/// Mesh of the level set `value = iso` of a dense lattice.
+///
+/// `values[x + dims[0] * (y + dims[1] * z)]` is the field at `origin + spacing * [x, y, z]`; `dims` counts lattice
+/// points, not cells. Outside is `value > iso`: normals point towards larger values and triangles are
+/// counter-clockwise seen from there. A vertex lies where linear interpolation puts the level on a lattice edge, and
+/// is shared by all triangles around it. Cells with a NaN corner give no triangles and leave the mesh open there.
+/// Normals and colours are left empty. Vertices keep 1/1024 of the spacing away from lattice points, so that values
+/// equal to `iso` do not make triangles without area.
+///
+/// The mesh is empty when an axis has fewer than two points, `values` does not have `dims` entries (at most 2^30),
+/// or `origin`, `spacing` (> 0) or `iso` is not usable.
+#[must_use]
+pub fn extract_dense(dims: [usize; 3], values: &[f32], origin: [f32; 3], spacing: f32, iso: f32) -> TriMesh {
+    let count = dims[0].checked_mul(dims[1]).and_then(|n| n.checked_mul(dims[2]));
+    let too_many = values.len() > 1 << 30;
+    if dims.iter().any(|&n| n < 2) || count != Some(values.len()) || too_many || iso.is_nan() {
+        return TriMesh::default();
+    }
+    if !usable_lattice(origin, spacing) {
+        return TriMesh::default();
+    }
+    Extraction::new(dims, values, origin, spacing, iso).run()
+}
+
+/// [`extract_dense`] of a field given as a function of the position; it is called once a lattice point, x fastest.
+#[must_use]
+pub fn extract_fn(
+    dims: [usize; 3],
+    origin: [f32; 3],
+    spacing: f32,
+    iso: f32,
+    mut field: impl FnMut([f32; 3]) -> f32,
+) -> TriMesh {
+    let mut values = Vec::new();
+    for z in 0..dims[2] {
+        for y in 0..dims[1] {
+            values.extend((0..dims[0]).map(|x| {
+                let cell = [x, y, z];
+                field(std::array::from_fn(|a| origin[a] + spacing * cell[a] as f32))
+            }));
+        }
+    }
+    extract_dense(dims, &values, origin, spacing, iso)
+}
+
+/// Vertices keep this part of the spacing away from lattice points. Where a value equals the level, up to six vertices
+/// would otherwise coincide, with triangles that have no area and hence no normal.
+const MARGIN: f64 = 1.0 / 1024.0;
+
+/// Position between two lattice neighbours, in 0..1, at which the linear interpolant of their values is `iso`.
+#[inline]
+pub(crate) fn crossing(a: f32, b: f32, iso: f32) -> f64 {
+    let (a, b, iso) = (f64::from(a), f64::from(b), f64::from(iso));
+    let t = (iso - a) / (b - a);
+    if (b - a).is_finite() && t.is_finite() { t.clamp(MARGIN, 1.0 - MARGIN) } else { 0.5 }
+}
+
+/// Signs of one layer of lattice points, 64 to a word, rows padded to whole words.
+struct Layer {
+    outside: Vec<u64>,
+    nan: Vec<u64>,
+}
+
+struct Extraction<'a> {
+    dims: [usize; 3],
+    values: &'a [f32],
+    origin: [f64; 3],
+    spacing: f64,
+    iso: f32,
+    /// Words in a row of signs.
+    words: usize,
+    /// Vertex on each lattice edge of the current slab, valid only for crossed edges: five planes of `dims[0] *
+    /// dims[1]`, for edges along x and y in even layers, along x and y in odd layers, and along z between them.
+    vertex_on: Vec<u32>,
+    mesh: TriMesh,
+    any_nan: bool,
+}
+
+impl<'a> Extraction<'a> {
+    fn new(dims: [usize; 3], values: &'a [f32], origin: [f32; 3], spacing: f32, iso: f32) -> Self {
+        Self {
+            dims,
+            values,
+            origin: origin.map(f64::from),
+            spacing: f64::from(spacing),
+            iso,
+            words: dims[0].div_ceil(64),
+            vertex_on: vec![0; 5 * dims[0] * dims[1]],
+            mesh: TriMesh::default(),
+            any_nan: false,
+        }
+    }
+
+    fn run(mut self) -> TriMesh {
+        let size = self.words * self.dims[1];
+        let layer = || Layer { outside: vec![0; size], nan: vec![0; size] };
+        let (mut below, mut above) = (layer(), layer());
+        self.classify(0, &mut below);
+        self.vertices_in_layer(0, &below);
+        for z in 0..self.dims[2] - 1 {
+            self.classify(z + 1, &mut above);
+            self.vertices_in_layer(z + 1, &above);
+            self.vertices_between(z, &below, &above);
+            self.triangles(z, &below, &above);
+            std::mem::swap(&mut below, &mut above);
+        }
+        if self.any_nan {
+            self.mesh.drop_unused_vertices();
+        }
+        self.mesh
+    }
+
+    fn classify(&mut self, z: usize, layer: &mut Layer) {
+        let [nx, ny, _] = self.dims;
+        let plane = &self.values[nx * ny * z..nx * ny * (z + 1)];
+        let rows = layer.outside.chunks_exact_mut(self.words).zip(layer.nan.chunks_exact_mut(self.words));
+        for (row, (outside, nan)) in plane.chunks_exact(nx).zip(rows) {
+            for ((chunk, outside), nan) in row.chunks(64).zip(outside).zip(nan) {
+                *outside = bits_where(chunk, |v| v > self.iso);
+                *nan = 0;
+                if chunk.iter().fold(false, |any, v| any | v.is_nan()) {
+                    *nan = bits_where(chunk, f32::is_nan);
+                    self.any_nan = true;
+                }
+            }
+        }
+    }
+
+    /// Makes a vertex on the edge of `axis` from lattice point `at`, and notes it in plane `plane`.
+    #[inline]
+    fn add_vertex(&mut self, axis: usize, at: [usize; 3], plane: usize) {
+        let [nx, ny, _] = self.dims;
+        let stride = [1, nx, nx * ny][axis];
+        let in_layer = at[0] + nx * at[1];
+        let i = in_layer + nx * ny * at[2];
+        let t = crossing(self.values[i], self.values[i + stride], self.iso);
+        let mut p = at.map(|c| c as f64);
+        p[axis] += t;
+        self.vertex_on[plane * nx * ny + in_layer] = self.mesh.vertices.len() as u32;
+        self.mesh.vertices.push(std::array::from_fn(|a| (self.origin[a] + self.spacing * p[a]) as f32));
+    }
+
+    /// Vertices on the edges along x and y of layer `z`.
+    fn vertices_in_layer(&mut self, z: usize, layer: &Layer) {
+        let [nx, ny, _] = self.dims;
+        let plane = 2 * (z % 2);
+        for y in 0..ny {
+            let row = y * self.words;
+            for w in 0..self.words {
+                let (outside, nan) = (layer.outside[row + w], layer.nan[row + w]);
+                let next = if w + 1 < self.words { row + w + 1 } else { usize::MAX };
+                let crossed = (outside ^ shifted(&layer.outside, row + w, next))
+                    & !(nan | shifted(&layer.nan, row + w, next))
+                    & low_bits(nx - 1, w);
+                for_ones(crossed, |b| self.add_vertex(0, [64 * w + b, y, z], plane));
+                if y + 1 < ny {
+                    let up = row + w + self.words;
+                    let crossed = (outside ^ layer.outside[up]) & !(nan | layer.nan[up]);
+                    for_ones(crossed, |b| self.add_vertex(1, [64 * w + b, y, z], plane + 1));
+                }
+            }
+        }
+    }
+
+    /// Vertices on the edges along z between layers `z` and `z + 1`.
+    fn vertices_between(&mut self, z: usize, below: &Layer, above: &Layer) {
+        for y in 0..self.dims[1] {
+            for w in 0..self.words {
+                let i = y * self.words + w;
+                let crossed = (below.outside[i] ^ above.outside[i]) & !(below.nan[i] | above.nan[i]);
+                for_ones(crossed, |b| self.add_vertex(2, [64 * w + b, y, z], 4));
+            }
+        }
+    }
+
+    fn triangles(&mut self, z: usize, below: &Layer, above: &Layer) {
+        let [nx, ny, _] = self.dims;
+        let (cases, offsets) = (&*CASES, self.edge_offsets(z));
+        for y in 0..ny - 1 {
+            for w in 0..self.words {
+                let i = y * self.words + w;
+                let j = i + self.words;
+                let next = |k: usize| if w + 1 < self.words { k + 1 } else { usize::MAX };
+                // Rows of corners 0, 2, 4, 6, then the same one step along x: corners 1, 3, 5, 7.
+                let low = [below.outside[i], below.outside[j], above.outside[i], above.outside[j]];
+                let high = [
+                    shifted(&below.outside, i, next(i)),
+                    shifted(&below.outside, j, next(j)),
+                    shifted(&above.outside, i, next(i)),
+                    shifted(&above.outside, j, next(j)),
+                ];
+                let any = low.iter().chain(&high).fold(0, |acc, r| acc | r);
+                let all = low.iter().chain(&high).fold(!0, |acc, r| acc & r);
+                let mut mixed = any & !all & low_bits(nx - 1, w);
+                if mixed != 0 && self.any_nan {
+                    for (layer, k) in [(below, i), (below, j), (above, i), (above, j)] {
+                        mixed &= !(layer.nan[k] | shifted(&layer.nan, k, next(k)));
+                    }
+                }
+                for_ones(mixed, |b| {
+                    let mut case = 0;
+                    for k in 0..4 {
+                        case |= (low[k] >> b & 1) << (2 * k) | (high[k] >> b & 1) << (2 * k + 1);
+                    }
+                    let cell = 64 * w + b + nx * y;
+                    self.mesh.triangles.extend(
+                        cases[case as usize]
+                            .triangles()
+                            .iter()
+                            .map(|t| t.map(|e| self.vertex_on[cell + offsets[usize::from(e)]])),
+                    );
+                });
+            }
+        }
+    }
+
+    /// Where each of a cell's 12 edges is in `vertex_on`, relative to the cell's place in its layer.
+    fn edge_offsets(&self, z: usize) -> [usize; 12] {
+        let [nx, ny, _] = self.dims;
+        EDGES.map(|(axis, lower)| {
+            let plane = if axis == 2 { 4 } else { 2 * ((z + (lower >> 2)) % 2) + axis };
+            plane * nx * ny + (lower & 1) + nx * (lower >> 1 & 1)
+        })
+    }
+}
+
+/// One bit for each of up to 64 values.
+#[inline]
+fn bits_where(values: &[f32], test: impl Fn(f32) -> bool) -> u64 {
+    let mut flags = [0u8; 64];
+    for (flag, v) in flags.iter_mut().zip(values) {
+        *flag = u8::from(test(*v));
+    }
+    let mut bits = 0;
+    for (k, group) in flags.as_chunks::<8>().0.iter().enumerate() {
+        // The product gathers the low bits of eight bytes in its top byte.
+        bits |= (u64::from_le_bytes(*group).wrapping_mul(0x0102_0408_1020_4080) >> 56) << (8 * k);
+    }
+    bits
+}
+
+/// Signs one step further along x; `next` is the following word of the row, or out of range.
+#[inline]
+fn shifted(row: &[u64], word: usize, next: usize) -> u64 {
+    row[word] >> 1 | row.get(next).map_or(0, |n| n << 63)
+}
+
+/// Bits of word `w` that stand for positions below `limit`.
+#[inline]
+fn low_bits(limit: usize, w: usize) -> u64 {
+    match limit.saturating_sub(64 * w) {
+        0 => 0,
+        n if n >= 64 => !0,
+        n => (1 << n) - 1,
+    }
+}
+
+#[inline]
+pub(crate) fn for_ones(mut word: u64, mut f: impl FnMut(usize)) {
+    while word != 0 {
+        f(word.trailing_zeros() as usize);
+        word &= word - 1;
+    }
+}
