@@ -1,0 +1,352 @@
+//! Residuals, their Jacobians and the robust kernel. Everything the solver differentiates is here and is tested
+//! against central differences below.
+//!
+//! With `T <- exp(delta) T` and `delta = [rho; phi]`, an object-frame point `X = T p` moves by `rho + phi x X`, so
+//! `dX/ddelta = [I | -[X]x]`. Three consequences carry the solver:
+//! - a feature residual `X_i - X_j` has Jacobians `[I | -[X_i]x]` and `-[I | -[X_j]x]`;
+//! - a scalar residual that changes with `X` along `d` (plane normal, SDF gradient) has the row `[d; X x d]`;
+//! - rows built in a camera frame become object-frame rows by one adjoint per edge ([`lift`]).
+
+use nalgebra::{Isometry3, Matrix3, Matrix6, Vector3, Vector6};
+
+/// `[I | -[X]x]`, the derivative of the object-frame point `x` with respect to its node's twist.
+#[cfg(test)]
+pub(crate) fn point_jacobian(x: &Vector3<f64>) -> nalgebra::Matrix3x6<f64> {
+    let mut j = nalgebra::Matrix3x6::zeros();
+    j.fixed_view_mut::<3, 3>(0, 0).fill_with_identity();
+    j.fixed_view_mut::<3, 3>(0, 3).copy_from(&-x.cross_matrix());
+    j
+}
+
+/// `[d; x x d]`: derivative of a scalar that changes with the point `x` along `d`.
+#[inline(always)]
+pub(crate) fn direction_row(d: [f64; 3], x: [f64; 3]) -> [f64; 6] {
+    [d[0], d[1], d[2], x[1] * d[2] - x[2] * d[1], x[2] * d[0] - x[0] * d[2], x[0] * d[1] - x[1] * d[0]]
+}
+
+/// Point-to-plane residual `n . (q - p)` and the row of its *target* node, all in one common frame; the source
+/// node's row is the negative. `q`, `n`: point and normal of the target, `p`: transformed source point.
+#[inline(always)]
+pub(crate) fn plane_residual(n: [f64; 3], q: [f64; 3], p: [f64; 3]) -> (f64, [f64; 6]) {
+    let r = n[0] * (q[0] - p[0]) + n[1] * (q[1] - p[1]) + n[2] * (q[2] - p[2]);
+    (r, direction_row(n, p))
+}
+
+/// `A` with `[R n; X x R n] = A [n; p x n]` for `X = R p + t`: takes rows from a camera to the object frame.
+pub(crate) fn lift(obj_from_cam: &Isometry3<f64>) -> Matrix6<f64> {
+    let rotation = *obj_from_cam.rotation.to_rotation_matrix().matrix();
+    let mut a = Matrix6::zeros();
+    a.fixed_view_mut::<3, 3>(0, 0).copy_from(&rotation);
+    a.fixed_view_mut::<3, 3>(3, 0).copy_from(&(obj_from_cam.translation.vector.cross_matrix() * rotation));
+    a.fixed_view_mut::<3, 3>(3, 3).copy_from(&rotation);
+    a
+}
+
+/// Huber's loss of a residual of magnitude `e >= 0`: `(rho(e), rho'(e) / e)`.
+#[inline(always)]
+pub(crate) fn huber(e: f64, delta: f64) -> (f64, f64) {
+    if e <= delta { (0.5 * e * e, 1.0) } else { (delta * (e - 0.5 * delta), delta / e) }
+}
+
+/// Weighted sums over scalar residuals with 6-vector rows: lower triangle of `J^T W J`, `J^T W r`.
+#[derive(Debug, Clone, Copy, Default)]
+pub(crate) struct RowSums {
+    h: [f64; 21],
+    g: [f64; 6],
+}
+
+impl RowSums {
+    /// Adds one residual `r` with row `j` and weight `w`.
+    #[inline(always)]
+    pub(crate) fn add(&mut self, j: &[f64; 6], w: f64, r: f64) {
+        let mut k = 0;
+        for a in 0..6 {
+            let wa = w * j[a];
+            for b in 0..=a {
+                self.h[k] += wa * j[b];
+                k += 1;
+            }
+            self.g[a] += wa * r;
+        }
+    }
+
+    /// The sums as matrix and vector.
+    pub(crate) fn finish(&self) -> (Matrix6<f64>, Vector6<f64>) {
+        let mut h = Matrix6::zeros();
+        let mut k = 0;
+        for a in 0..6 {
+            for b in 0..=a {
+                h[(a, b)] = self.h[k];
+                h[(b, a)] = self.h[k];
+                k += 1;
+            }
+        }
+        (h, Vector6::from(self.g))
+    }
+}
+
+/// Weighted moments of matched object-frame points: all that the blocks of a feature edge depend on.
+#[derive(Debug, Clone, Copy, Default)]
+pub(crate) struct MatchSums {
+    w: f64,
+    x: [f64; 3],
+    y: [f64; 3],
+    xx: [f64; 6],
+    yy: [f64; 6],
+    xy: [f64; 9],
+    r: [f64; 3],
+    x_cross_r: [f64; 3],
+}
+
+/// The blocks of one feature edge: `H_ii, H_jj, H_ij` and the gradient of `i` (that of `j` is its negative).
+pub(crate) struct MatchBlocks {
+    pub(crate) ii: Matrix6<f64>,
+    pub(crate) jj: Matrix6<f64>,
+    pub(crate) ij: Matrix6<f64>,
+    pub(crate) g: Vector6<f64>,
+}
+
+impl MatchSums {
+    /// Adds the match of `x` (node i) and `y` (node j), with weight `w`.
+    #[inline(always)]
+    pub(crate) fn add(&mut self, x: [f64; 3], y: [f64; 3], w: f64) {
+        let wx = [w * x[0], w * x[1], w * x[2]];
+        let wy = [w * y[0], w * y[1], w * y[2]];
+        let r = [wx[0] - wy[0], wx[1] - wy[1], wx[2] - wy[2]];
+        self.w += w;
+        let mut k = 0;
+        for a in 0..3 {
+            self.x[a] += wx[a];
+            self.y[a] += wy[a];
+            self.r[a] += r[a];
+            for b in 0..3 {
+                self.xy[3 * a + b] += wx[a] * y[b];
+            }
+            for b in 0..=a {
+                self.xx[k] += wx[a] * x[b];
+                self.yy[k] += wy[a] * y[b];
+                k += 1;
+            }
+        }
+        self.x_cross_r[0] += x[1] * r[2] - x[2] * r[1];
+        self.x_cross_r[1] += x[2] * r[0] - x[0] * r[2];
+        self.x_cross_r[2] += x[0] * r[1] - x[1] * r[0];
+    }
+
+    /// The blocks of the normal equations.
+    pub(crate) fn finish(&self) -> MatchBlocks {
+        let symmetric = |m: &[f64; 6]| Matrix3::new(m[0], m[1], m[3], m[1], m[2], m[4], m[3], m[4], m[5]);
+        let x = Vector3::from(self.x);
+        let y = Vector3::from(self.y);
+        let xy = Matrix3::from_row_slice(&self.xy);
+        MatchBlocks {
+            ii: self.block(&x, &x, &symmetric(&self.xx)),
+            jj: self.block(&y, &y, &symmetric(&self.yy)),
+            ij: -self.block(&x, &y, &xy),
+            g: Vector6::new(
+                self.r[0],
+                self.r[1],
+                self.r[2],
+                self.x_cross_r[0],
+                self.x_cross_r[1],
+                self.x_cross_r[2],
+            ),
+        }
+    }
+
+    /// `sum w [I | -[X]x]^T [I | -[Y]x]` from `sum w`, `sum w X`, `sum w Y` and `m = sum w X Y^T`; uses
+    /// `-[X]x [Y]x = (X . Y) I - Y X^T`.
+    fn block(&self, x: &Vector3<f64>, y: &Vector3<f64>, m: &Matrix3<f64>) -> Matrix6<f64> {
+        let mut b = Matrix6::zeros();
+        b.fixed_view_mut::<3, 3>(0, 0).copy_from(&(Matrix3::identity() * self.w));
+        b.fixed_view_mut::<3, 3>(0, 3).copy_from(&-y.cross_matrix());
+        b.fixed_view_mut::<3, 3>(3, 0).copy_from(&x.cross_matrix());
+        b.fixed_view_mut::<3, 3>(3, 3).copy_from(&(Matrix3::identity() * m.trace() - m.transpose()));
+        b
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::{DMatrix, DVector};
+    use rand::{RngExt, SeedableRng};
+    use rand_pcg::Pcg64Mcg;
+    use se3_lie::se3;
+
+    use super::*;
+
+    fn vector(rng: &mut Pcg64Mcg, scale: f64) -> Vector3<f64> {
+        Vector3::from_fn(|_, _| rng.random_range(-scale..scale))
+    }
+
+    fn pose(rng: &mut Pcg64Mcg) -> Isometry3<f64> {
+        let (t, r) = (vector(rng, 0.5), vector(rng, 2.0));
+        se3::exp(&Vector6::new(t.x, t.y, t.z, r.x, r.y, r.z))
+    }
+
+    /// Central differences of `f` under left perturbation of `pose`.
+    fn numeric(pose: &Isometry3<f64>, f: impl Fn(&Isometry3<f64>) -> DVector<f64>) -> DMatrix<f64> {
+        let h = 1e-5;
+        let columns: Vec<DVector<f64>> = (0..6)
+            .map(|k| {
+                let mut step = Vector6::zeros();
+                step[k] = h;
+                (f(&(se3::exp(&step) * pose)) - f(&(se3::exp(&-step) * pose))) / (2.0 * h)
+            })
+            .collect();
+        DMatrix::from_columns(&columns)
+    }
+
+    #[track_caller]
+    fn assert_close(analytic: &DMatrix<f64>, numeric: &DMatrix<f64>) {
+        let error = (analytic - numeric).amax() / numeric.amax().max(1e-3);
+        assert!(error < 1e-6, "relative error {error}\n{analytic}{numeric}");
+    }
+
+    fn dynamic(m: &nalgebra::Matrix3x6<f64>) -> DMatrix<f64> {
+        DMatrix::from_fn(3, 6, |r, c| m[(r, c)])
+    }
+
+    #[test]
+    fn feature_jacobians_match_differences_on_both_sides() {
+        let mut rng = Pcg64Mcg::seed_from_u64(1);
+        for _ in 0..20 {
+            let (ti, tj, pi, pj) =
+                (pose(&mut rng), pose(&mut rng), vector(&mut rng, 1.0), vector(&mut rng, 1.0));
+            let residual = |ti: &Isometry3<f64>, tj: &Isometry3<f64>| {
+                let r = ti.transform_point(&pi.into()) - tj.transform_point(&pj.into());
+                DVector::from_column_slice(r.as_slice())
+            };
+            let xi = ti.transform_point(&pi.into()).coords;
+            let xj = tj.transform_point(&pj.into()).coords;
+            assert_close(&dynamic(&point_jacobian(&xi)), &numeric(&ti, |t| residual(t, &tj)));
+            assert_close(&dynamic(&-point_jacobian(&xj)), &numeric(&tj, |t| residual(&ti, t)));
+        }
+    }
+
+    #[test]
+    fn plane_rows_match_differences_in_both_frames() {
+        let mut rng = Pcg64Mcg::seed_from_u64(2);
+        for _ in 0..20 {
+            let (ts, tt) = (pose(&mut rng), pose(&mut rng));
+            let (p, q) = (vector(&mut rng, 1.0), vector(&mut rng, 1.0));
+            let n = vector(&mut rng, 1.0).normalize();
+            let residual = |ts: &Isometry3<f64>, tt: &Isometry3<f64>| {
+                let moved = tt.inverse() * ts * nalgebra::Point3::from(p);
+                DVector::from_element(1, n.dot(&(q - moved.coords)))
+            };
+            let moved = (tt.inverse() * ts * nalgebra::Point3::from(p)).coords;
+            let (r, row) = plane_residual(n.into(), q.into(), moved.into());
+            assert!((r - residual(&ts, &tt)[0]).abs() < 1e-12);
+            let target = (lift(&tt) * Vector6::from(row)).transpose();
+            let target = DMatrix::from_fn(1, 6, |_, c| target[c]);
+            assert_close(&target, &numeric(&tt, |t| residual(&ts, t)));
+            assert_close(&-target, &numeric(&ts, |t| residual(t, &tt)));
+        }
+    }
+
+    /// Signed distance and gradient of a sphere.
+    fn sphere(x: &Vector3<f64>) -> (f64, Vector3<f64>) {
+        (x.norm() - 0.1, x.normalize())
+    }
+
+    /// Signed distance and gradient of a box of half sizes 0.1, 0.2, 0.3 (outside its faces, edges and corners).
+    fn cuboid(x: &Vector3<f64>) -> (f64, Vector3<f64>) {
+        let q = x.abs() - Vector3::new(0.1, 0.2, 0.3);
+        let outside = q.map(|c| c.max(0.0));
+        if outside.norm() > 0.0 {
+            (outside.norm(), outside.normalize().component_mul(&x.map(f64::signum)))
+        } else {
+            let axis = q.imax();
+            let mut g = Vector3::zeros();
+            g[axis] = x[axis].signum();
+            (q[axis], g)
+        }
+    }
+
+    #[test]
+    fn sdf_rows_match_differences_on_sphere_and_box() {
+        let mut rng = Pcg64Mcg::seed_from_u64(3);
+        for _ in 0..20 {
+            let (t, p) = (pose(&mut rng), vector(&mut rng, 0.6));
+            for model in [sphere, cuboid] {
+                let x = t.transform_point(&p.into()).coords;
+                let row = direction_row(model(&x).1.into(), x.into());
+                let row = DMatrix::from_row_slice(1, 6, &row);
+                let residual = |t: &Isometry3<f64>| {
+                    DVector::from_element(1, model(&t.transform_point(&p.into()).coords).0)
+                };
+                assert_close(&row, &numeric(&t, residual));
+            }
+        }
+    }
+
+    #[test]
+    fn prior_jacobian_matches_differences() {
+        let mut rng = Pcg64Mcg::seed_from_u64(4);
+        for _ in 0..20 {
+            let (t, prior) = (pose(&mut rng), pose(&mut rng));
+            let residual =
+                |t: &Isometry3<f64>| DVector::from_column_slice(se3::log(&(t * prior.inverse())).as_slice());
+            let r = se3::log(&(t * prior.inverse()));
+            if r.fixed_rows::<3>(3).norm() > 2.8 {
+                continue; // the logarithm is not smooth at half a turn
+            }
+            let jacobian = se3::left_jacobian_inverse(&r);
+            assert_close(&DMatrix::from_fn(6, 6, |a, b| jacobian[(a, b)]), &numeric(&t, residual));
+        }
+    }
+
+    #[test]
+    fn match_sums_equal_the_sum_of_jacobian_products() {
+        let mut rng = Pcg64Mcg::seed_from_u64(5);
+        let mut sums = MatchSums::default();
+        let (mut ii, mut jj, mut ij) = (Matrix6::zeros(), Matrix6::zeros(), Matrix6::zeros());
+        let (mut gi, mut gj) = (Vector6::zeros(), Vector6::zeros());
+        for _ in 0..50 {
+            let (x, y, w) = (vector(&mut rng, 1.0), vector(&mut rng, 1.0), rng.random_range(0.1..2.0));
+            sums.add(x.into(), y.into(), w);
+            let (a, b) = (point_jacobian(&x), -point_jacobian(&y));
+            ii += a.transpose() * a * w;
+            jj += b.transpose() * b * w;
+            ij += a.transpose() * b * w;
+            gi += a.transpose() * (x - y) * w;
+            gj += b.transpose() * (x - y) * w;
+        }
+        let blocks = sums.finish();
+        for (got, expected) in [(blocks.ii, ii), (blocks.jj, jj), (blocks.ij, ij)] {
+            assert!((got - expected).amax() < 1e-10, "{got}{expected}");
+        }
+        assert!((blocks.g - gi).amax() < 1e-10);
+        assert!((blocks.g + gj).amax() < 1e-10);
+    }
+
+    #[test]
+    fn row_sums_equal_outer_products() {
+        let mut rng = Pcg64Mcg::seed_from_u64(6);
+        let mut sums = RowSums::default();
+        let (mut h, mut g) = (Matrix6::zeros(), Vector6::zeros());
+        for _ in 0..30 {
+            let j = Vector6::from_fn(|_, _| rng.random_range(-1.0..1.0));
+            let (w, r) = (rng.random_range(0.1..2.0), rng.random_range(-1.0..1.0));
+            sums.add(&j.into(), w, r);
+            h += j * j.transpose() * w;
+            g += j * (w * r);
+        }
+        let (got_h, got_g) = sums.finish();
+        assert!((got_h - h).amax() < 1e-12 && (got_g - g).amax() < 1e-12);
+    }
+
+    #[test]
+    fn huber_is_continuous_and_its_weight_is_its_slope() {
+        let delta = 0.005;
+        for e in [0.0, 0.001, 0.00499, 0.00501, 0.02, 1.0] {
+            let (rho, w) = huber(e, delta);
+            let h = 1e-7;
+            let slope = (huber(e + h, delta).0 - huber((e - h).abs(), delta).0) / (2.0 * h);
+            assert!((slope - w * e).abs() < 1e-7, "{e}: {slope} {}", w * e);
+            assert!(rho <= 0.5 * e * e + 1e-15);
+        }
+        assert_eq!(huber(0.0, delta), (0.0, 1.0));
+    }
+}

@@ -1,0 +1,109 @@
+//! SDF term: signed distance of a frame's points to a frozen model (eq. `L_s`).
+
+use nalgebra::Isometry3;
+
+use crate::graph::{SdfModel, SdfTerm};
+use crate::jacobian::{RowSums, direction_row, huber};
+use crate::normal::NormalEquations;
+use crate::options::SolveOptions;
+use crate::stats::{Extent, Residuals};
+use crate::transform::{Rigid, is_finite, narrow, widen};
+
+/// The usable points of one SDF term and the model's answers at the last pose asked.
+pub(crate) struct SdfUnary<'a> {
+    pub(crate) node: usize,
+    model: &'a dyn SdfModel,
+    points: Vec<[f32; 3]>,
+    object: Vec<[f32; 3]>,
+    sdf: Vec<f32>,
+    gradient: Vec<[f32; 3]>,
+    /// Loss of each point at the linearisation; NaN = not part of the current set.
+    reference: Vec<f64>,
+    evaluated_at: Option<Isometry3<f64>>,
+    weight: f64,
+    cap: f64,
+    scale: f64,
+    delta: f64,
+}
+
+impl<'a> SdfUnary<'a> {
+    pub(crate) fn new(term: &SdfTerm<'a>, options: &SolveOptions) -> Self {
+        let points: Vec<[f32; 3]> = term.points.iter().copied().filter(is_finite).collect();
+        let n = points.len();
+        Self {
+            node: term.node,
+            model: term.model,
+            object: vec![[0.0; 3]; n],
+            sdf: vec![f32::NAN; n],
+            gradient: vec![[f32::NAN; 3]; n],
+            reference: vec![f64::NAN; n],
+            points,
+            evaluated_at: None,
+            weight: options.sdf_weight / (options.sdf_sigma * options.sdf_sigma),
+            cap: options.sdf_cap,
+            scale: 0.0,
+            delta: options.sdf_huber,
+        }
+    }
+
+    /// Asks the model, unless the pose is the one asked last (a step that was tried and then accepted).
+    fn evaluate(&mut self, pose: &Isometry3<f64>) {
+        if self.evaluated_at.as_ref() == Some(pose) {
+            return;
+        }
+        let rigid = Rigid::<f64>::new(pose);
+        for (x, &p) in self.object.iter_mut().zip(&self.points) {
+            *x = narrow(rigid.point(p));
+        }
+        self.sdf.fill(f32::NAN);
+        self.gradient.fill([f32::NAN; 3]);
+        self.model.sdf_and_gradient(&self.object, &mut self.sdf, &mut self.gradient);
+        self.evaluated_at = Some(*pose);
+    }
+
+    /// Cost over the current set. A point that leaves the model's domain keeps the loss it had, so that no step is
+    /// accepted because it loses points.
+    pub(crate) fn cost(&mut self, poses: &[Isometry3<f64>]) -> f64 {
+        self.evaluate(&poses[self.node]);
+        let mut sum = 0.0;
+        for (&s, &reference) in self.sdf.iter().zip(&self.reference) {
+            if reference.is_finite() {
+                sum += if s.is_finite() { huber(f64::from(s).abs(), self.delta).0 } else { reference };
+            }
+        }
+        self.scale * sum
+    }
+
+    pub(crate) fn linearise(&mut self, poses: &[Isometry3<f64>], normal: &mut NormalEquations) -> f64 {
+        self.evaluate(&poses[self.node]);
+        let mut sums = RowSums::default();
+        let (mut cost, mut count) = (0.0, 0usize);
+        for (k, reference) in self.reference.iter_mut().enumerate() {
+            *reference = f64::NAN;
+            let (s, g) = (self.sdf[k], self.gradient[k]);
+            if s.is_finite() && is_finite(&g) {
+                let (rho, w) = huber(f64::from(s).abs(), self.delta);
+                sums.add(&direction_row(widen(g), widen(self.object[k])), w, f64::from(s));
+                *reference = rho;
+                cost += rho;
+                count += 1;
+            }
+        }
+        self.scale = if count == 0 { 0.0 } else { self.weight * (self.cap / count as f64).min(1.0) };
+        let (h, g) = sums.finish();
+        normal.add(self.node, &(h * self.scale), &(g * self.scale));
+        self.scale * cost
+    }
+
+    pub(crate) fn residuals(&mut self, poses: &[Isometry3<f64>], all: &mut Residuals) -> usize {
+        self.evaluate(&poses[self.node]);
+        self.sdf.iter().filter(|s| s.is_finite() && all.add(f64::from(**s), self.delta, 1.0)).count()
+    }
+
+    /// Adds the object-frame points of `node`.
+    pub(crate) fn extent(&self, node: usize, poses: &[Rigid], extent: &mut Extent) {
+        if node == self.node {
+            self.points.iter().for_each(|&p| extent.add(poses[node].point(p)));
+        }
+    }
+}

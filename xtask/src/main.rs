@@ -1,0 +1,36 @@
+//! The project's own commands: `cargo xtask eval` scores the system on real sequences, `cargo xtask tidy` checks
+//! the rules of the tree.
+//!
+//! It starts the `bundlesdf` binary and never links its library: what is measured is what a user runs.
+#![allow(clippy::print_stdout, reason = "a command line tool reports on standard output")]
+
+mod eval;
+mod tidy;
+
+use clap::{Parser, Subcommand};
+use std::process::ExitCode;
+
+#[derive(Parser)]
+#[command(name = "cargo xtask", about = "The project's own commands")]
+struct Args {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    /// Run the system on sequences with known poses and mesh, and print its scores.
+    Eval {
+        #[command(subcommand)]
+        layout: eval::Layout,
+    },
+    /// Check the rules of the tree: layers, docs, file sizes, what code may touch.
+    Tidy,
+}
+
+fn main() -> anyhow::Result<ExitCode> {
+    match Args::parse().command {
+        Command::Eval { layout: eval::Layout::Custom(args) } => eval::run(&args),
+        Command::Tidy => tidy::run(),
+    }
+}
