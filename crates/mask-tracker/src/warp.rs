@@ -1,0 +1,228 @@
+//! The last frame carried to the current one: coloured points that move with the object.
+
+use nalgebra::{Isometry3, Point3, Translation3};
+
+use crate::grid::{Bounds, Camera, Color, EMPTY_BOUNDS, Grid, Window, color_distance2, include};
+
+/// One cell of an earlier frame, lifted to the camera frame of the last one.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Sample {
+    pub(crate) point: [f32; 3],
+    pub(crate) color: Color,
+    pub(crate) object: bool,
+    /// The depth was measured, not borrowed from the nearest cell that has one.
+    pub(crate) measured: bool,
+    /// Frames since something else was last seen in front of this object point, 0 = visible.
+    pub(crate) hidden: u16,
+    /// 0..1: how long this point has been object and looked like it.
+    pub(crate) trust: f32,
+}
+
+pub(crate) fn moved(p: [f32; 3], motion: &Isometry3<f32>) -> [f32; 3] {
+    let q = motion * Point3::from(p);
+    [q.x, q.y, q.z]
+}
+
+/// Image bounds of the moved object samples, `None` when none projects.
+pub(crate) fn bounds(samples: &[Sample], motion: &Isometry3<f32>, camera: &Camera) -> Option<Bounds> {
+    let mut b = EMPTY_BOUNDS;
+    for s in samples.iter().filter(|s| s.object) {
+        if let Some([u, v]) = camera.project(moved(s.point, motion)) {
+            include(&mut b, u, v);
+        }
+    }
+    (b[0] <= b[2]).then_some(b)
+}
+
+/// Samples drawn into a window; `depth` 0 where none fell.
+pub(crate) struct Layer {
+    pub(crate) depth: Vec<f32>,
+    pub(crate) color: Vec<Color>,
+    pub(crate) trust: Vec<f32>,
+    pub(crate) hidden: Vec<u16>,
+    pub(crate) measured: Vec<bool>,
+}
+
+impl Layer {
+    /// Draws the samples that `keep` selects, nearest wins; gaps one cell wide are closed.
+    pub(crate) fn draw(
+        samples: &[Sample],
+        keep: impl Fn(&Sample) -> bool,
+        motion: &Isometry3<f32>,
+        camera: &Camera,
+        window: &Window,
+    ) -> Self {
+        let n = window.len();
+        let mut layer = Self {
+            depth: vec![0.0; n],
+            color: vec![[0.0; 3]; n],
+            trust: vec![0.0; n],
+            hidden: vec![0; n],
+            measured: vec![false; n],
+        };
+        for s in samples.iter().filter(|s| keep(s)) {
+            let p = moved(s.point, motion);
+            let Some([u, v]) = camera.project(p) else { continue };
+            let Some(i) = window.index(window.cell(u, v)) else { continue };
+            if layer.depth[i] == 0.0 || p[2] < layer.depth[i] {
+                layer.depth[i] = p[2];
+                layer.color[i] = s.color;
+                layer.trust[i] = s.trust;
+                layer.hidden[i] = s.hidden;
+                layer.measured[i] = s.measured;
+            }
+        }
+        layer.close_gaps(window);
+        layer
+    }
+
+    fn close_gaps(&mut self, window: &Window) {
+        let (w, h) = (window.w, window.h);
+        let before = self.depth.clone();
+        for y in 0..h {
+            for x in 0..w {
+                let i = y * w + x;
+                if before[i] != 0.0 {
+                    continue;
+                }
+                let across = x > 0 && x + 1 < w && before[i - 1] > 0.0 && before[i + 1] > 0.0;
+                let along = y > 0 && y + 1 < h && before[i - w] > 0.0 && before[i + w] > 0.0;
+                let source = if across {
+                    i - 1
+                } else if along {
+                    i - w
+                } else {
+                    continue;
+                };
+                self.depth[i] = before[source];
+                self.color[i] = self.color[source];
+                self.trust[i] = self.trust[source];
+                self.hidden[i] = self.hidden[source];
+                self.measured[i] = self.measured[source];
+            }
+        }
+    }
+}
+
+/// Similarity of a predicted and an observed colour, 0..1.
+#[inline]
+pub(crate) fn color_match(a: Color, b: Color) -> f32 {
+    let d = color_distance2(a, b);
+    500.0 / (500.0 + d)
+}
+
+/// Finds the translation (camera frame, metres) that brings the moved samples into agreement with the grid: an
+/// exhaustive image shift within `radius` cells, then the median depth change, then a finer shift. With it comes the
+/// remaining disagreement (about 0..1), infinite when there was nothing to align.
+pub(crate) fn align(
+    grid: &Grid,
+    log_ratio: &[f32],
+    samples: &[Sample],
+    motion: &Isometry3<f32>,
+    camera: &Camera,
+    radius: i32,
+) -> (Translation3<f32>, f32) {
+    let visible = samples.iter().filter(|s| s.object && s.hidden == 0).count();
+    let all = samples.iter().filter(|s| s.object).count();
+    let use_hidden = visible * 3 < all;
+    let count = if use_hidden { all } else { visible };
+    if count == 0 {
+        return (Translation3::identity(), f32::INFINITY);
+    }
+    let stride = count.div_ceil(260);
+    let mut probes = Vec::with_capacity(300);
+    let mut mean = [0.0f32; 3];
+    for s in samples.iter().filter(|s| s.object && (use_hidden || s.hidden == 0)).step_by(stride) {
+        let p = moved(s.point, motion);
+        if let Some([u, v]) = camera.project(p) {
+            let (x, y) = grid.window.cell(u, v);
+            probes.push(Probe { x, y, z: if s.measured { p[2] } else { 0.0 }, color: s.color });
+            mean = [mean[0] + u, mean[1] + v, mean[2] + p[2]];
+        }
+    }
+    if probes.is_empty() {
+        return (Translation3::identity(), f32::INFINITY);
+    }
+    let mean = mean.map(|m| m / probes.len() as f32);
+    let mut best = (0, 0);
+    let mut dz = 0.0;
+    let mut lowest = f32::INFINITY;
+    let passes = [(radius, if radius > 8 { 2 } else { 1 }), (2, 1), (1, 1)];
+    for (range, step) in passes {
+        let center = best;
+        lowest = f32::INFINITY;
+        for dy in (-range..=range).step_by(step) {
+            for dx in (-range..=range).step_by(step) {
+                let shift = (center.0 + dx, center.1 + dy);
+                let far = ((shift.0 * shift.0 + shift.1 * shift.1) as f32).sqrt();
+                let cost = disagreement(grid, log_ratio, &probes, shift, dz) + 0.002 * far;
+                if cost < lowest {
+                    lowest = cost;
+                    best = shift;
+                }
+            }
+        }
+        dz = median_depth_change(grid, &probes, best);
+    }
+    let pixels = grid.window.step as f32;
+    (image_translation(camera, mean, [best.0 as f32 * pixels, best.1 as f32 * pixels], dz), lowest)
+}
+
+/// The camera-frame translation that moves what is seen at `[u, v, z]` by `shift` pixels and `dz` metres.
+pub(crate) fn image_translation(
+    camera: &Camera,
+    [u, v, z]: [f32; 3],
+    shift: [f32; 2],
+    dz: f32,
+) -> Translation3<f32> {
+    let a = camera.unproject(u, v, z);
+    let b = camera.unproject(u + shift[0], v + shift[1], z + dz);
+    Translation3::new(b[0] - a[0], b[1] - a[1], b[2] - a[2])
+}
+
+struct Probe {
+    x: i32,
+    y: i32,
+    z: f32,
+    color: Color,
+}
+
+fn disagreement(grid: &Grid, log_ratio: &[f32], probes: &[Probe], shift: (i32, i32), dz: f32) -> f32 {
+    let mut sum = 0.0;
+    for p in probes {
+        let Some(i) = grid.window.index((p.x + shift.0, p.y + shift.1)) else {
+            sum += 0.8;
+            continue;
+        };
+        let z = grid.depth[i];
+        // Something came in front: no evidence for or against this shift, but worse than a match.
+        if z > 0.0 && p.z > 0.0 && z < p.z + dz - 0.03 {
+            sum += 0.35;
+            continue;
+        }
+        let color = 1.0 - color_match(p.color, grid.color[i]);
+        let depth = if z > 0.0 && p.z > 0.0 {
+            let r = (z - p.z - dz).abs();
+            r / (r + 0.015)
+        } else {
+            0.4
+        };
+        sum += 0.5 * color + 0.4 * depth - 0.05 * log_ratio[i];
+    }
+    sum / probes.len() as f32
+}
+
+fn median_depth_change(grid: &Grid, probes: &[Probe], shift: (i32, i32)) -> f32 {
+    let mut changes: Vec<f32> = probes
+        .iter()
+        .filter_map(|p| {
+            let z = grid.depth[grid.window.index((p.x + shift.0, p.y + shift.1))?];
+            (z > 0.0 && p.z > 0.0 && (z - p.z).abs() < 0.06).then_some(z - p.z)
+        })
+        .collect();
+    if changes.len() * 4 < probes.len() {
+        return 0.0;
+    }
+    let middle = changes.len() / 2;
+    *changes.select_nth_unstable_by(middle, f32::total_cmp).1
+}
