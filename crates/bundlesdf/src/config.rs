@@ -120,7 +120,7 @@ pub struct MemoryConfig {
 impl Default for MemoryConfig {
     fn default() -> Self {
         Self {
-            min_swing_deg: 8.0,
+            min_swing_deg: 5.0,
             min_valid_share: 0.1,
             capacity: 64,
             selected: 10,

@@ -127,11 +127,11 @@ impl Observation {
     /// Trackable corners inside the mask, strongest first, in crop pixels.
     pub fn corners(&self, max_count: usize) -> &[[f32; 2]] {
         let corners = self.corners.get_or_init(|| {
-            detect_corners(
-                &self.pyramid.levels()[0],
-                &self.mask,
-                &CornerOptions { max_count, ..CornerOptions::default() },
-            )
+            // A small object's corners stand closer, so that it too has enough of them.
+            let area = self.mask.pixels().iter().filter(|m| **m != 0).count() as f32;
+            let min_distance = (area / (2 * max_count) as f32).sqrt().clamp(2.5, 6.0);
+            let options = CornerOptions { max_count, min_distance, quality: 0.005, ..CornerOptions::default() };
+            detect_corners(&self.pyramid.levels()[0], &self.mask, &options)
         });
         &corners[..corners.len().min(max_count)]
     }

@@ -62,8 +62,8 @@ struct DemoArgs {
     /// Track only the first N of the 120 frames.
     #[arg(long, value_name = "N")]
     frames: Option<usize>,
-    /// Give the tracker the first mask only, or the true masks of all frames.
-    #[arg(long, value_enum, default_value_t = DemoMasks::All)]
+    /// Give the tracker the first frame's mask only, or the true masks of all frames.
+    #[arg(long, value_enum, default_value_t = DemoMasks::First)]
     masks: DemoMasks,
     #[command(flatten)]
     how: HowArgs,

@@ -14,6 +14,7 @@ use mask_tracker::{Prior, Propagate, Segmentation, SurfacePoint, VideoSegmenter}
 use matcher::{ScaleSpaceMatcher, klt::KltOptions};
 use nalgebra::{Isometry3, Translation3};
 use neural_field::TrainedField;
+use rayon::prelude::*;
 use rgbd_io::{Image, Mask, RgbdFrame};
 
 use self::{
@@ -296,22 +297,21 @@ impl Tracker {
         guess: &Isometry3<f64>,
         selected: &[usize],
     ) -> Vec<(usize, MemoryEdge)> {
-        let c = &self.config.coarse;
-        let mut edges = Vec::new();
-        for (position, keyframe) in selected.iter().filter_map(|p| Some((*p, self.pool.keyframes().get(*p)?))) {
+        let (pool, config) = (&self.pool, &self.config);
+        let c = &config.coarse;
+        let edge = |position: &usize| {
+            let keyframe = pool.keyframes().get(*position)?;
             let to_from = guess.inv_mul(&keyframe.obj_from_cam);
             let options = KltOptions::default();
             let tracks =
                 guided_tracks(&keyframe.observation, observation, &to_from, c.max_corners_memory, &options);
-            let seed = self.config.seed ^ ((observation.index as u64) << 20) ^ keyframe.index as u64;
+            let seed = config.seed ^ ((observation.index as u64) << 20) ^ keyframe.index as u64;
             let gates = Gates::CORRECTION;
             let verified =
-                coarse_from_matches(tracks, &keyframe.obj_from_cam, guess, gates, c.min_inliers, c, seed);
-            if let Some(verified) = verified {
-                edges.push((position, MemoryEdge::from_matches(&verified.matches)));
-            }
-        }
-        edges
+                coarse_from_matches(tracks, &keyframe.obj_from_cam, guess, gates, c.min_inliers, c, seed)?;
+            Some((*position, MemoryEdge::from_matches(&verified.matches)))
+        };
+        selected.par_iter().filter_map(edge).collect()
     }
 
     /// Decides the frame's status and, with it, what is kept of the frame.
@@ -404,7 +404,7 @@ impl Tracker {
             return Masked::Given(mask.clone());
         }
         if let Some((given, mask)) = self.given.take() {
-            self.segmenter.start(&given, &mask);
+            self.start_segmentation(&given, mask);
         }
         if self.pool.keyframes().is_empty() {
             return Masked::Given(Image::filled(frame.color.width(), frame.color.height(), 0));
@@ -418,6 +418,17 @@ impl Tracker {
             confidence: if lost { Self::STALE_POSE } else { Self::PREDICTED_POSE },
         };
         Masked::Propagated(self.segmenter.next(frame, &prior))
+    }
+
+    /// Starts propagation at the last frame that had a mask of its own, with the pose it was tracked at.
+    fn start_segmentation(&mut self, frame: &RgbdFrame, mask: Mask) {
+        self.segmenter.start(frame, &mask);
+        let prior = Prior {
+            cam_from_obj: self.reference.as_ref().map(|r| r.pose.inverse()),
+            model: &self.surface,
+            confidence: Self::ESTIMATED_POSE,
+        };
+        self.segmenter.refine(frame, Segmentation::new(mask, 1.0), &prior);
     }
 
     /// Second pass of a propagated mask, now with the coarse pose: what the pose graph, the pool and the field see.
