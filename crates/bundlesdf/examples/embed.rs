@@ -17,7 +17,12 @@ struct CameraBuffers {
 }
 
 /// Wraps raw buffers as a frame; `None` when their lengths don't fit the size.
-fn to_frame(id: usize, buffers: &CameraBuffers, intrinsics: Intrinsics, mask: Option<Mask>) -> Option<RgbdFrame> {
+fn to_frame(
+    id: usize,
+    buffers: &CameraBuffers,
+    intrinsics: Intrinsics,
+    mask: Option<Mask>,
+) -> Option<RgbdFrame> {
     let (width, height) = (buffers.width, buffers.height);
     let rgb = buffers.rgb.chunks_exact(3).map(|c| [c[0], c[1], c[2]]).collect();
     let depth = buffers.depth_mm.iter().map(|mm| f32::from(*mm) * 1e-3).collect();
@@ -50,7 +55,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     for index in 0..camera.len() {
         // Only the first frame needs a mask; here the simulator has it, elsewhere a person or a detector does.
         let mask = (index == 0).then(|| camera.render(0).visible_mask);
-        let frame = to_frame(index, &buffers(index), camera.intrinsics(), mask).ok_or("a buffer has the wrong size")?;
+        let frame = to_frame(index, &buffers(index), camera.intrinsics(), mask)
+            .ok_or("a buffer has the wrong size")?;
         let result = tracker.track(&frame);
         let start = *first.get_or_insert(result.cam_from_obj);
         let motion = result.cam_from_obj * start.inverse();
@@ -62,7 +68,9 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             motion.rotation.angle().to_degrees()
         );
         if result.status == Status::Lost {
-            println!("          the pose is the last good one; tracking goes on by itself when the object is seen again");
+            println!(
+                "          the pose is the last good one; tracking goes on by itself when the object is seen again"
+            );
         }
     }
     let reconstruction = tracker.finish();

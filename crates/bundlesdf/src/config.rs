@@ -241,7 +241,11 @@ impl Config {
     /// The first key whose value can't work, with its range.
     pub fn validate(&self) -> Result<(), String> {
         let positive = |name: &str, value: f64| {
-            if value.is_finite() && value > 0.0 { Ok(()) } else { Err(format!("{name} must be above 0, is {value}")) }
+            if value.is_finite() && value > 0.0 {
+                Ok(())
+            } else {
+                Err(format!("{name} must be above 0, is {value}"))
+            }
         };
         let within = |name: &str, value: usize, range: std::ops::RangeInclusive<usize>| {
             if range.contains(&value) {

@@ -1,6 +1,8 @@
 //! Scores a run against exact truth.
 
-use eval_metrics::{Camera, MeshProtocol, MeshRef, ModelPoints, keep_faces, score_mesh, score_poses, visible_faces};
+use eval_metrics::{
+    Camera, MeshProtocol, MeshRef, ModelPoints, keep_faces, score_mesh, score_poses, visible_faces,
+};
 use marching_cubes::TriMesh;
 use nalgebra::Isometry3;
 use rgbd_io::Intrinsics;

@@ -87,7 +87,9 @@ impl FieldWorker {
             match self.replies.try_recv() {
                 Ok(reply) => reply,
                 Err(crossbeam_channel::TryRecvError::Empty) => return None,
-                Err(crossbeam_channel::TryRecvError::Disconnected) => Err("the field's thread has ended".into()),
+                Err(crossbeam_channel::TryRecvError::Disconnected) => {
+                    Err("the field's thread has ended".into())
+                }
             }
         };
         self.busy = false;
@@ -113,9 +115,11 @@ fn round(request: &FieldRequest, stop: &AtomicBool) -> FieldReply {
     let images: Vec<_> = request.frames.iter().map(|(_, images, _)| images.clone()).collect();
     let poses: Vec<_> = request.frames.iter().map(|(_, _, pose)| *pose).collect();
     let control = Control { stop: Some(stop), progress: None };
-    let trained = catch_unwind(AssertUnwindSafe(|| neural_field::train(&request.config, &images, &poses, &control)))
-        .map_err(|_| "the field's training failed unexpectedly".to_owned())?
-        .map_err(|e| e.to_string())?;
-    let refined = request.frames.iter().map(|(index, _, _)| *index).zip(trained.poses().iter().copied()).collect();
+    let trained =
+        catch_unwind(AssertUnwindSafe(|| neural_field::train(&request.config, &images, &poses, &control)))
+            .map_err(|_| "the field's training failed unexpectedly".to_owned())?
+            .map_err(|e| e.to_string())?;
+    let refined =
+        request.frames.iter().map(|(index, _, _)| *index).zip(trained.poses().iter().copied()).collect();
     Ok(FieldUpdate { poses: refined, field: Arc::new(trained), elapsed: start.elapsed() })
 }

@@ -130,7 +130,8 @@ impl Observation {
             // A small object's corners stand closer, so that it too has enough of them.
             let area = self.mask.pixels().iter().filter(|m| **m != 0).count() as f32;
             let min_distance = (area / (2 * max_count) as f32).sqrt().clamp(2.5, 6.0);
-            let options = CornerOptions { max_count, min_distance, quality: 0.005, ..CornerOptions::default() };
+            let options =
+                CornerOptions { max_count, min_distance, quality: 0.005, ..CornerOptions::default() };
             detect_corners(&self.pyramid.levels()[0], &self.mask, &options)
         });
         &corners[..corners.len().min(max_count)]
@@ -151,7 +152,8 @@ impl Observation {
         let nearest = ((at[0] + 0.5) as usize, (at[1] + 0.5) as usize);
         let normal = *self.normals.get(nearest.0, nearest.1)?;
         let corner = |dx, dy| self.points.get(x + dx, y + dy).filter(|p| p[2] > 0.0);
-        if let (Some(a), Some(b), Some(c), Some(d)) = (corner(0, 0), corner(1, 0), corner(0, 1), corner(1, 1)) {
+        if let (Some(a), Some(b), Some(c), Some(d)) = (corner(0, 0), corner(1, 0), corner(0, 1), corner(1, 1))
+        {
             let depths = [a[2], b[2], c[2], d[2]];
             let (lo, hi) = depths.iter().fold((f32::MAX, f32::MIN), |(lo, hi), z| (lo.min(*z), hi.max(*z)));
             if hi - lo < ONE_SURFACE {
@@ -236,7 +238,9 @@ impl WorkingImages {
         intrinsics.cy -= shift / factor as f64;
         Self {
             color: Image::from_fn(w, h, |x, y| block_mean(&frame.color, x * factor, y * factor, factor)),
-            depth: Image::from_fn(w, h, |x, y| in_range(&frame.depth[(x * factor + centre, y * factor + centre)])),
+            depth: Image::from_fn(w, h, |x, y| {
+                in_range(&frame.depth[(x * factor + centre, y * factor + centre)])
+            }),
             mask: Image::from_fn(w, h, |x, y| mask[(x * factor + centre, y * factor + centre)]),
             intrinsics,
         }
@@ -378,7 +382,8 @@ pub(crate) mod tests {
             intrinsics: Intrinsics { fx: 120.0, fy: 130.0, cx: width as f64 / 2.0, cy: height as f64 / 2.0 },
         };
         let mask = Image::from_fn(width, height, |x, y| {
-            u8::from((width / 4..width * 3 / 4).contains(&x) && (height / 4..height * 3 / 4).contains(&y)) * 255
+            u8::from((width / 4..width * 3 / 4).contains(&x) && (height / 4..height * 3 / 4).contains(&y))
+                * 255
         });
         (frame, mask)
     }

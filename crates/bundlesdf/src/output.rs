@@ -71,8 +71,8 @@ impl OutputFolder {
     /// When a file can't be written.
     pub fn write_reconstruction(&self, reconstruction: &Reconstruction) -> Result<(), Error> {
         if let Some(mesh) = &reconstruction.mesh {
-            self.write_mesh("mesh.ply", mesh, |mesh, bytes| marching_cubes::write_ply(mesh, bytes))?;
-            self.write_mesh("mesh.obj", mesh, |mesh, bytes| marching_cubes::write_obj(mesh, bytes))?;
+            self.write_mesh("mesh.ply", mesh, marching_cubes::write_ply)?;
+            self.write_mesh("mesh.obj", mesh, marching_cubes::write_obj)?;
         }
         let keyframes: Vec<_> = reconstruction.keyframes.iter().map(KeyframeReport::of).collect();
         self.write_json("keyframes.json", &keyframes)
@@ -92,8 +92,9 @@ impl OutputFolder {
     /// When the file can't be written.
     pub fn write_json(&self, name: &str, value: &impl Serialize) -> Result<(), Error> {
         let path = self.root.join(name);
-        let mut text = serde_json::to_vec_pretty(value)
-            .map_err(|e| Error::new(&path, format!("can't be put into JSON ({e})"), "report this as a bug"))?;
+        let mut text = serde_json::to_vec_pretty(value).map_err(|e| {
+            Error::new(&path, format!("can't be put into JSON ({e})"), "report this as a bug")
+        })?;
         text.push(b'\n');
         write_atomic(&path, &text)
     }

@@ -104,7 +104,8 @@ impl MemoryPool {
             .iter()
             .enumerate()
             .filter(|(_, k)| {
-                k.observation.visible_share(&k.obj_from_cam, obj_from_cam, config.visible_deg) > config.min_visible
+                k.observation.visible_share(&k.obj_from_cam, obj_from_cam, config.visible_deg)
+                    > config.min_visible
             })
             .map(|(i, k)| (swing_angle(&k.obj_from_cam.rotation, &obj_from_cam.rotation), i))
             .collect();
@@ -143,7 +144,11 @@ impl MemoryPool {
 }
 
 /// Moves `obj_from_cam` rigidly with a keyframe whose pose went from `old` to `new`: their relative motion stays.
-pub(crate) fn carry(old: &Isometry3<f64>, new: &Isometry3<f64>, obj_from_cam: &Isometry3<f64>) -> Isometry3<f64> {
+pub(crate) fn carry(
+    old: &Isometry3<f64>,
+    new: &Isometry3<f64>,
+    obj_from_cam: &Isometry3<f64>,
+) -> Isometry3<f64> {
     new * old.inv_mul(obj_from_cam)
 }
 

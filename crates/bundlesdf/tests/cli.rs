@@ -41,7 +41,10 @@ fn refused(video: &Path, words: &[&str]) {
     if out.exists() {
         for file in files(&out).into_iter().filter(|f| f.is_file()) {
             let name = file.file_name().unwrap().to_str().unwrap().to_owned();
-            assert!(["run.json", "keyframes.json", "mesh.ply", "mesh.obj"].contains(&name.as_str()), "{name}");
+            assert!(
+                ["run.json", "keyframes.json", "mesh.ply", "mesh.obj"].contains(&name.as_str()),
+                "{name}"
+            );
         }
     }
 }
@@ -160,7 +163,14 @@ fn a_config_with_an_unknown_key_is_refused() {
     let config = dir.path().join("c.toml");
     fs::write(&config, "[graph]\niteration = 3\n").unwrap();
     let out = dir.path().join("out");
-    let args = ["run", video.to_str().unwrap(), "--out", out.to_str().unwrap(), "--config", config.to_str().unwrap()];
+    let args = [
+        "run",
+        video.to_str().unwrap(),
+        "--out",
+        out.to_str().unwrap(),
+        "--config",
+        config.to_str().unwrap(),
+    ];
     let output = bundlesdf(&args);
     let text = String::from_utf8_lossy(&output.stderr).into_owned();
     assert_eq!(output.status.code(), Some(2), "{text}");

@@ -163,7 +163,10 @@ impl HowArgs {
             None => bundlesdf::Config::default(),
             Some(path) => {
                 let text = std::fs::read_to_string(path).map_err(|e| {
-                    anyhow::anyhow!("{}: can't be read ({e}); give an existing TOML file to --config", path.display())
+                    anyhow::anyhow!(
+                        "{}: can't be read ({e}); give an existing TOML file to --config",
+                        path.display()
+                    )
                 })?;
                 bundlesdf::Config::from_toml(&text, &path.display().to_string())?
             }

@@ -83,7 +83,10 @@ pub(super) fn summary(report: &RunReport, folder: &OutputFolder) -> String {
         ("keyframes", report.keyframes.to_string()),
         ("field", field),
         ("mesh", mesh),
-        ("results", format!("{} (ob_in_cam/, mesh.obj, mesh.ply, keyframes.json, run.json)", folder.path().display())),
+        (
+            "results",
+            format!("{} (ob_in_cam/, mesh.obj, mesh.ply, keyframes.json, run.json)", folder.path().display()),
+        ),
     ] {
         text.push_str(&format!("{name:<10} {value}\n"));
     }

@@ -14,7 +14,7 @@ use super::{
     verify::{Agreement, depth_agreement},
 };
 use crate::{
-    config::{Config, CoarseConfig},
+    config::{CoarseConfig, Config},
     depth::depth_sigma,
     observation::Observation,
     pool::MemoryPool,
@@ -106,15 +106,8 @@ pub(super) fn coarse_from_tracks(
     for guess in guesses {
         let to_from = guess.inv_mul(obj_from_reference);
         let matches = guided_tracks(from, observation, &to_from, config.max_corners, &KltOptions::default());
-        let found = coarse_from_matches(
-            matches,
-            obj_from_reference,
-            guess,
-            gates,
-            config.min_inliers,
-            config,
-            seed,
-        );
+        let found =
+            coarse_from_matches(matches, obj_from_reference, guess, gates, config.min_inliers, config, seed);
         if let Some(found) = found
             && best.as_ref().is_none_or(|b| b.matches.len() < found.matches.len())
         {
@@ -210,9 +203,10 @@ pub(super) fn agreement_with_memory(
         swing(a).total_cmp(&swing(b))
     });
     let tolerance = agreement_tolerance(observation);
-    let parts = nearest.iter().take(COMPARED).map(|k| {
-        depth_agreement(&k.observation, observation, &pose.inv_mul(&k.obj_from_cam), tolerance)
-    });
+    let parts = nearest
+        .iter()
+        .take(COMPARED)
+        .map(|k| depth_agreement(&k.observation, observation, &pose.inv_mul(&k.obj_from_cam), tolerance));
     let (overlap, inliers) = parts.fold((0, 0.0), |(overlap, inliers), part| {
         (overlap + part.overlap, inliers + part.inlier_share * part.overlap as f64)
     });

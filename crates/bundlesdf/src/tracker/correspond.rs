@@ -123,8 +123,5 @@ fn predict(
     if !bounded || determinant < 1.0 / (MAX_STRETCH * MAX_STRETCH) {
         return None;
     }
-    Some((
-        [pixel[0] as f32, pixel[1] as f32],
-        [du[0] as f32, dv[0] as f32, du[1] as f32, dv[1] as f32],
-    ))
+    Some(([pixel[0] as f32, pixel[1] as f32], [du[0] as f32, dv[0] as f32, du[1] as f32, dv[1] as f32]))
 }

@@ -92,7 +92,8 @@ impl GraphProblem<'_> {
         let solution = solve(&graph, &self.options()).ok()?;
         let pose = *solution.poses.get(new)?;
         let moved = self.selected.iter().enumerate().filter(|(node, _)| !fixed[*node]);
-        let moved = moved.filter_map(|(node, position)| Some((*position, *solution.poses.get(node)?))).collect();
+        let moved =
+            moved.filter_map(|(node, position)| Some((*position, *solution.poses.get(node)?))).collect();
         tracing::debug!(
             initial = solution.cost_initial,
             last = solution.cost_final,

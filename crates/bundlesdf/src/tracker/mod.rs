@@ -17,16 +17,16 @@ use neural_field::TrainedField;
 use rayon::prelude::*;
 use rgbd_io::{Image, Mask, RgbdFrame};
 
+pub(crate) use self::correspond::{moved_point, moved_vector};
 use self::{
     coarse::{
-        CoarsePose, Gates, agreement_with_memory, coarse_from_matches, coarse_from_tracks, descriptor_matches,
-        relocalise, within,
+        CoarsePose, Gates, agreement_with_memory, coarse_from_matches, coarse_from_tracks,
+        descriptor_matches, relocalise, within,
     },
     correspond::guided_tracks,
     graph::{GraphProblem, GraphResult},
     motion::Motion,
 };
-pub(crate) use self::correspond::{moved_point, moved_vector};
 pub use self::{
     result::{FrameResult, StageTimes, Status},
     rounds::{FieldSummary, Reconstruction},
@@ -325,9 +325,11 @@ impl Tracker {
         /// Less depth agreement than this contradicts the pose.
         const CONTRADICTED: f64 = 0.3;
         const CONVINCING: f64 = 0.5;
+        /// With less common surface than this the depth says nothing for or against.
+        const MIN_OVERLAP: usize = 20;
         let agreement = agreement_with_memory(&self.pool, &observation, &estimate.pose);
         let enough = estimate.inliers >= self.config.coarse.min_inliers;
-        let share = agreement.inlier_share;
+        let share = if agreement.overlap < MIN_OVERLAP { CONTRADICTED } else { agreement.inlier_share };
         let status = match (enough, share) {
             (true, s) if s >= CONVINCING && estimate.relocalised => Status::Relocalised,
             (true, s) if s >= CONVINCING => Status::Tracked,

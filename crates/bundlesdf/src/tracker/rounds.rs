@@ -111,8 +111,11 @@ impl Tracker {
         self.take_field_reply(true);
         if self.worker.is_some() && !self.pool.keyframes().is_empty() {
             let online = self.summary.clone();
-            let config =
-                FieldConfig { steps: self.config.field.final_steps, seed: self.config.seed, ..FieldConfig::realtime() };
+            let config = FieldConfig {
+                steps: self.config.field.final_steps,
+                seed: self.config.seed,
+                ..FieldConfig::realtime()
+            };
             self.submit(config);
             self.take_field_reply(true);
             // The last round has its own length: it would distort the median of the online ones.
