@@ -18,10 +18,10 @@ use crate::{
 };
 
 /// Pixels around the mask's box that stay in the crop: context for point tracks and for the field's ring rays.
-const MARGIN_SHARE: f64 = 0.12;
+const MARGIN_SHARE: f64 = 0.18;
 const MIN_MARGIN: usize = 12;
 /// Points with normals that stand for the whole cloud in visibility tests.
-const SAMPLES: usize = 400;
+const SAMPLES: usize = 600;
 
 /// The object in one frame; immutable once built and shared between tracker, pool and field.
 ///
@@ -137,7 +137,7 @@ impl Observation {
         &corners[..corners.len().min(max_count)]
     }
 
-    /// The descriptor features of this observation, computed by `detect` on first use.
+    /// The roll-invariant descriptor features of this observation, computed by `detect` on first use.
     pub(crate) fn features(&self, detect: impl FnOnce() -> Features) -> &Features {
         self.features.get_or_init(detect)
     }
@@ -187,7 +187,7 @@ impl Observation {
     }
 
     /// Share of this observation's sample points that face a camera at `obj_from_camera`, when this one is at
-    /// `obj_from_cam`: the covisibility of REFERENCE section 2.5 (no occlusion test).
+    /// `obj_from_cam`: the visibility ratio of the paper's section 3.3 (no occlusion test).
     pub fn visible_share(
         &self,
         obj_from_cam: &Isometry3<f64>,

@@ -2,9 +2,11 @@
 //! and RANSAC in the object frame.
 
 use matcher::{
-    CropOptions, FeatureMatcher, Features, RollCrop, ScaleSpaceMatcher,
+    CropOptions, FeatureMatcher, Features, Match, Orientation, RollCrop, ScaleSpaceMatcher,
+    ScaleSpaceOptions,
     klt::KltOptions,
     ransac::{RansacOptions, estimate},
+    roll_between,
 };
 use nalgebra::Isometry3;
 use se3_lie::distance::{rotation_angle, swing_angle};
@@ -121,23 +123,55 @@ pub(super) fn coarse_from_tracks(
     best
 }
 
-/// The descriptor features of an observation, detected on its upright crop.
-fn features<'o>(observation: &'o Observation, matcher: &ScaleSpaceMatcher) -> &'o Features {
-    observation.features(|| {
-        let gray = &observation.pyramid.levels()[0];
-        RollCrop::new(gray, &observation.mask, 0.0, &CropOptions::default())
-            .map(|crop| matcher.detect(&crop))
-            .unwrap_or_default()
-    })
+/// The two ways to compare descriptors.
+#[derive(Debug)]
+pub(super) struct Descriptors {
+    /// On crops whose roll is known: more distinctive.
+    upright: ScaleSpaceMatcher,
+    /// After a loss, when the roll is anyone's guess.
+    any_roll: ScaleSpaceMatcher,
 }
 
-/// Descriptor matches between two observations, lifted by depth.
-pub(super) fn descriptor_matches(
-    a: &Observation,
-    b: &Observation,
-    matcher: &ScaleSpaceMatcher,
-) -> Vec<Correspondence> {
-    let matches = matcher.match_features(features(a, matcher), features(b, matcher));
+impl Default for Descriptors {
+    fn default() -> Self {
+        let with = |orientation| ScaleSpaceMatcher {
+            options: ScaleSpaceOptions { orientation, ..ScaleSpaceOptions::default() },
+        };
+        Self { upright: with(Orientation::Upright), any_roll: with(Orientation::Dominant) }
+    }
+}
+
+impl Descriptors {
+    fn detect(matcher: &ScaleSpaceMatcher, observation: &Observation, roll: f64) -> Features {
+        let gray = &observation.pyramid.levels()[0];
+        RollCrop::new(gray, &observation.mask, roll, &CropOptions::default())
+            .map(|crop| matcher.detect(&crop))
+            .unwrap_or_default()
+    }
+
+    /// Matches with a reference (a) whose pose is known; the new frame's crop (b) is turned by the roll between the
+    /// reference and the guess.
+    pub(super) fn with_reference(
+        &self,
+        (reference, obj_from_reference): (&Observation, &Isometry3<f64>),
+        observation: &Observation,
+        guess: &Isometry3<f64>,
+    ) -> Vec<Correspondence> {
+        let roll = roll_between(&obj_from_reference.rotation.inverse(), &guess.rotation.inverse());
+        let a = Self::detect(&self.upright, reference, 0.0);
+        let b = Self::detect(&self.upright, observation, roll);
+        lift_matches(reference, observation, &self.upright.match_features(&a, &b))
+    }
+
+    /// Matches that need no pose; features are detected once per observation.
+    fn at_any_roll(&self, a: &Observation, b: &Observation) -> Vec<Correspondence> {
+        let detect = |o: &Observation| Self::detect(&self.any_roll, o, 0.0);
+        let (in_a, in_b) = (a.features(|| detect(a)), b.features(|| detect(b)));
+        lift_matches(a, b, &self.any_roll.match_features(in_a, in_b))
+    }
+}
+
+fn lift_matches(a: &Observation, b: &Observation, matches: &[Match]) -> Vec<Correspondence> {
     matches
         .iter()
         .filter_map(|m| {
@@ -153,14 +187,14 @@ pub(super) fn descriptor_matches(
 pub(super) fn relocalise(
     pool: &MemoryPool,
     observation: &Observation,
-    matcher: &ScaleSpaceMatcher,
+    descriptors: &Descriptors,
     config: &Config,
 ) -> Option<CoarsePose> {
     const MIN_AGREEMENT: f64 = 0.5;
     const MIN_OVERLAP: usize = 30;
     let mut best: Option<CoarsePose> = None;
     for keyframe in pool.keyframes() {
-        let matches = descriptor_matches(&keyframe.observation, observation, matcher);
+        let matches = descriptors.at_any_roll(&keyframe.observation, observation);
         let found = coarse_from_matches(
             matches,
             &keyframe.obj_from_cam,

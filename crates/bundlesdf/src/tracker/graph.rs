@@ -128,7 +128,9 @@ impl GraphProblem<'_> {
                 graph.add_feature_edge(edge.feature_edge(node, new)).ok()?;
             }
             if swing_angle(&keyframe.obj_from_cam.rotation, &self.guess.rotation) < MAX_SWING {
-                graph.add_dense_edge(DenseEdge { source: new, target: node }).ok()?;
+                let source_is_new = self.observation.valid <= keyframe.observation.valid;
+                let (source, target) = if source_is_new { (new, node) } else { (node, new) };
+                graph.add_dense_edge(DenseEdge { source, target }).ok()?;
             }
             for (other, other_position) in self.selected.iter().enumerate().take(node) {
                 if fixed[node] && fixed[other] {

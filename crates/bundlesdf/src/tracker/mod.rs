@@ -11,7 +11,7 @@ mod verify;
 use std::{sync::Arc, time::Instant};
 
 use mask_tracker::{Prior, Propagate, Segmentation, SurfacePoint, VideoSegmenter};
-use matcher::{ScaleSpaceMatcher, klt::KltOptions};
+use matcher::klt::KltOptions;
 use nalgebra::{Isometry3, Translation3};
 use neural_field::TrainedField;
 use rayon::prelude::*;
@@ -20,8 +20,8 @@ use rgbd_io::{Image, Mask, RgbdFrame};
 pub(crate) use self::correspond::{moved_point, moved_vector};
 use self::{
     coarse::{
-        CoarsePose, Gates, agreement_with_memory, coarse_from_matches, coarse_from_tracks,
-        descriptor_matches, relocalise, within,
+        CoarsePose, Descriptors, Gates, agreement_with_memory, coarse_from_matches, coarse_from_tracks,
+        relocalise, within,
     },
     correspond::guided_tracks,
     graph::{GraphProblem, GraphResult},
@@ -54,7 +54,7 @@ pub struct Tracker {
     config: Config,
     schedule: Schedule,
     pool: MemoryPool,
-    matcher: ScaleSpaceMatcher,
+    descriptors: Descriptors,
     segmenter: Box<dyn VideoSegmenter>,
     /// The last frame that came with its own mask: where segmentation starts when masks stop coming.
     given: Option<(RgbdFrame, Mask)>,
@@ -95,7 +95,7 @@ impl Tracker {
             config,
             schedule,
             pool: MemoryPool::default(),
-            matcher: ScaleSpaceMatcher::default(),
+            descriptors: Descriptors::default(),
             segmenter: Box::new(Propagate::default()),
             given: None,
             surface: Vec::new(),
@@ -240,14 +240,14 @@ impl Tracker {
         if gap <= 3 && tracked.as_ref().is_some_and(enough) {
             return tracked.map(|p| (p, false));
         }
-        let matches = descriptor_matches(&reference.observation, observation, &self.matcher);
+        let matches = self.descriptors.with_reference(near, observation, &guesses[0]);
         let matched =
             coarse_from_matches(matches, &reference.pose, &reference.pose, gates, c.min_inliers, c, seed);
         let best = [tracked, matched].into_iter().flatten().max_by_key(|p| p.matches.len());
         if gap <= 1 && best.is_some() {
             return best.map(|p| (p, false));
         }
-        let found = relocalise(&self.pool, observation, &self.matcher, &self.config);
+        let found = relocalise(&self.pool, observation, &self.descriptors, &self.config);
         match (best, found) {
             (Some(near), Some(far)) if near.matches.len() >= far.matches.len() => Some((near, false)),
             (_, Some(far)) => Some((far, true)),
