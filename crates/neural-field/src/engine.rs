@@ -1,0 +1,186 @@
+//! The CPU engine: one training step on all cores, bit-identical for any number of them.
+//!
+//! A step has three phases. Tiles run in a fixed number of chunks, each with its own gradient of the small networks.
+//! The chunks' gradients are added in order. Then every lattice of the grid scatters its gradients and updates
+//! itself, one task per lattice, so that no two threads write the same vertex and no sum depends on timing.
+
+use crate::adam::{LevelState, Rate};
+use crate::config::FieldConfig;
+use crate::grid::{FEATURES, Grid};
+use crate::mlp::Networks;
+use crate::pose::PoseCorrections;
+use crate::sampler::{Buffers, Sampler};
+use crate::simd;
+use crate::tile::{Model, RAYS, RayPose, Scratch, Tile, TileGradient, loss};
+use nalgebra::Vector6;
+use rayon::prelude::*;
+
+/// Number of chunks; fixed, so that the order of additions does not depend on the number of threads.
+const CHUNKS: usize = 16;
+
+/// Amplitude of the grid's initial features.
+const GRID_AMPLITUDE: f64 = 1e-4;
+
+/// Tiles handled by one task.
+#[derive(Debug)]
+struct Chunk {
+    surface: std::ops::Range<usize>,
+    ring: std::ops::Range<usize>,
+    surface_tile: Tile<f32>,
+    ring_tile: Tile<f32>,
+    scratch: Scratch<f32>,
+    buffers: Buffers,
+    gradients: Vec<TileGradient<f32>>,
+    weights: Vec<f32>,
+}
+
+/// State of a round on the CPU.
+#[derive(Debug)]
+pub(crate) struct CpuEngine {
+    pub(crate) grid: Grid<f32>,
+    pub(crate) networks: Networks,
+    pub(crate) weights: Vec<f32>,
+    moments: Vec<[f32; 2]>,
+    levels: Vec<LevelState>,
+    chunks: Vec<Chunk>,
+    truncation: f32,
+}
+
+impl CpuEngine {
+    pub(crate) fn new(config: &FieldConfig, sampler: &Sampler) -> Self {
+        let resolutions = (config.base_resolution, config.finest_resolution);
+        let grid = Grid::new(config.levels, resolutions, config.log2_table_size, GRID_AMPLITUDE, config.seed);
+        let networks = Networks::new(grid.width(), config.hidden, config.geometry_features);
+        let n = sampler.counts;
+        let (lanes, central) = (n.surface_lanes(), n.central_lanes());
+        let share = |tiles: usize, c: usize| c * tiles / CHUNKS..(c + 1) * tiles / CHUNKS;
+        let chunks = (0..CHUNKS)
+            .map(|c| {
+                let (surface, ring) = (share(n.surface_tiles, c), share(n.ring_tiles, c));
+                let gradients = surface
+                    .clone()
+                    .map(|_| TileGradient::new(lanes, central, &networks))
+                    .chain(ring.clone().map(|_| TileGradient::new(n.ring_lanes(), 0, &networks)))
+                    .collect();
+                Chunk {
+                    surface,
+                    ring,
+                    surface_tile: Tile::new(lanes, central),
+                    ring_tile: Tile::new(n.ring_lanes(), 0),
+                    scratch: Scratch::new(lanes, central, &networks),
+                    buffers: Buffers::default(),
+                    gradients,
+                    weights: vec![0.0; networks.len],
+                }
+            })
+            .collect();
+        Self {
+            levels: grid.levels.iter().map(|l| LevelState::new(l.len)).collect(),
+            weights: networks.init(config.seed),
+            moments: vec![[0.0; 2]; networks.len],
+            grid,
+            networks,
+            chunks,
+            truncation: (config.truncation / sampler.volume().edge) as f32,
+        }
+    }
+
+    /// One step: samples, gradients, updates. Returns the weighted losses; poses are updated in place.
+    pub(crate) fn step(
+        &mut self,
+        sampler: &Sampler,
+        poses: &mut PoseCorrections,
+        step: usize,
+        (rate, pose_rate): (f64, f64),
+    ) -> [f64; loss::COUNT] {
+        let ray_poses = poses.ray_poses::<f32>();
+        let model = Model {
+            grid: &self.grid,
+            networks: &self.networks,
+            weights: &self.weights,
+            truncation: self.truncation,
+        };
+        self.chunks.par_iter_mut().for_each(|chunk| chunk.run(&model, sampler, &ray_poses, step));
+
+        let iteration = step + 1;
+        let losses = self.update_poses(poses, pose_rate, iteration);
+        let rate = Rate::new(rate, iteration);
+        let (first, others) = self.chunks.split_at_mut(1);
+        let total = &mut first[0].weights;
+        for chunk in others {
+            for (t, g) in total.iter_mut().zip(&mut chunk.weights) {
+                *t += std::mem::take(g);
+            }
+        }
+        simd::adam(rate, &mut self.weights, total, &mut self.moments);
+
+        let chunks = &self.chunks;
+        let layout = &self.grid.levels;
+        // Finest lattice first: it takes longest.
+        self.grid.tables.par_iter_mut().zip(&mut self.levels).enumerate().rev().for_each(
+            |(l, (table, state))| {
+                for tile in chunks.iter().flat_map(|c| &c.gradients) {
+                    scatter_tile(&layout[l], l, tile, state);
+                }
+                state.step(rate, table);
+            },
+        );
+        losses
+    }
+
+    fn update_poses(&self, poses: &mut PoseCorrections, rate: f64, iteration: usize) -> [f64; loss::COUNT] {
+        let mut twists = vec![Vector6::zeros(); poses.theta.len()];
+        let mut losses = [0.0; loss::COUNT];
+        for tile in self.chunks.iter().flat_map(|c| &c.gradients) {
+            for r in 0..RAYS {
+                twists[tile.frame[r]] += Vector6::from(tile.twist[r].map(f64::from));
+            }
+            for (sum, l) in losses.iter_mut().zip(tile.losses) {
+                *sum += f64::from(l);
+            }
+        }
+        if rate > 0.0 && poses.theta.len() > 1 {
+            poses.step(&twists, rate, iteration);
+        }
+        losses
+    }
+}
+
+impl Chunk {
+    fn run(&mut self, model: &Model<'_, f32>, sampler: &Sampler, poses: &[RayPose<f32>], step: usize) {
+        let mut outs = self.gradients.iter_mut();
+        for index in self.surface.clone() {
+            let Some(out) = outs.next() else { return };
+            sampler.fill_surface((step, index), poses, &mut self.surface_tile, &mut self.buffers);
+            simd::run_tile(model, poses, &self.surface_tile, &mut self.scratch, out, &mut self.weights);
+        }
+        for index in self.ring.clone() {
+            let Some(out) = outs.next() else { return };
+            sampler.fill_ring((step, index), poses, &mut self.ring_tile, &mut self.buffers);
+            simd::run_tile(model, poses, &self.ring_tile, &mut self.scratch, out, &mut self.weights);
+        }
+    }
+}
+
+/// Adds a tile's encoding gradients to lattice `l`.
+pub(crate) fn scatter_tile(
+    level: &crate::grid::Level,
+    l: usize,
+    tile: &TileGradient<f32>,
+    state: &mut LevelState,
+) {
+    let (n, from) = (tile.lanes, tile.lanes - tile.central);
+    let row = FEATURES * l;
+    for lane in 0..n {
+        let value = [tile.enc[row * n + lane], tile.enc[(row + 1) * n + lane]];
+        let slope = (tile.has_eikonal && lane >= from).then(|| {
+            let (c, m) = (lane - from, tile.central);
+            ([0, 1, 2].map(|a| tile.gamma[a * m + c]), [tile.v[row * m + c], tile.v[(row + 1) * m + c]])
+        });
+        if value == [0.0; 2] && slope.is_none() {
+            continue;
+        }
+        let p = [tile.pos[lane], tile.pos[n + lane], tile.pos[2 * n + lane]];
+        level.scatter(p, value, slope, &mut state.grad, &mut state.touched);
+    }
+}

@@ -1,0 +1,269 @@
+//! A trained field: distances, colours, poses.
+
+use crate::config::FieldConfig;
+use crate::engine::CpuEngine;
+use crate::frame::FieldImages;
+use crate::grid::Grid;
+use crate::mlp::Networks;
+use crate::pose::PoseCorrections;
+use crate::rays::FrameRays;
+use crate::sampler::Sampler;
+use crate::simd;
+use crate::tile::{Model, Scratch};
+use crate::train::StepLosses;
+use crate::volume::occupancy;
+use nalgebra::{Isometry3, Point3, Vector3};
+use octree_sampler::VoxelOctree;
+use rayon::prelude::*;
+use std::sync::Arc;
+
+/// Points evaluated together.
+const BLOCK: usize = 64;
+/// Points per task when a query is large enough to be worth both cores.
+const TASK: usize = 8192;
+/// Depth points per frame that enter its residual.
+const RESIDUAL_POINTS: usize = 512;
+/// Points per frame that support the mesh.
+const SUPPORT_POINTS: usize = 40_000;
+
+/// The result of a round: an object's signed distance and colour in the object frame, with refined poses.
+///
+/// Immutable; share it between threads in an `Arc`.
+#[derive(Clone, Debug)]
+pub struct TrainedField {
+    grid: Grid<f32>,
+    networks: Networks,
+    weights: Vec<f32>,
+    truncation: f64,
+    center: [f64; 3],
+    edge: f64,
+    /// Takes points of the object frame to the frame in which the networks were trained.
+    field_from_obj: Isometry3<f64>,
+    octree: VoxelOctree,
+    support: VoxelOctree,
+    poses: Vec<Isometry3<f64>>,
+    residuals: Vec<f32>,
+    losses: Vec<StepLosses>,
+}
+
+impl TrainedField {
+    pub(crate) fn new(
+        config: &FieldConfig,
+        engine: CpuEngine,
+        sampler: &Sampler,
+        corrections: &PoseCorrections,
+        frames: &[Arc<FieldImages>],
+        losses: Vec<StepLosses>,
+    ) -> Self {
+        let poses = corrections.poses();
+        let volume = sampler.volume();
+        // Occupancy under the refined poses; the old one is a fallback that cannot be needed for finite poses.
+        let octree =
+            occupancy(frames, &poses, volume.octree.voxel_size()).unwrap_or_else(|| volume.octree.clone());
+        let support = support(config, &octree, frames, &poses);
+        let mut field = Self {
+            grid: engine.grid,
+            networks: engine.networks,
+            weights: engine.weights,
+            truncation: config.truncation,
+            residuals: Vec::new(),
+            losses,
+            support: support.unwrap_or_else(|| octree.clone()),
+            center: volume.center,
+            edge: volume.edge,
+            field_from_obj: corrections.field_from_obj(),
+            octree,
+            poses,
+        };
+        field.residuals = field
+            .poses
+            .par_iter()
+            .zip(sampler.rays())
+            .map(|(pose, rays)| field.residual(pose, rays))
+            .collect();
+        field
+    }
+
+    /// Refined `obj_from_cam` per frame, metres. The first is bit-identical to the one given to
+    /// [`train`](crate::train).
+    pub fn poses(&self) -> &[Isometry3<f64>] {
+        &self.poses
+    }
+
+    /// Losses of every step.
+    pub fn losses(&self) -> &[StepLosses] {
+        &self.losses
+    }
+
+    /// Per frame, the median absolute distance of its depth points to the field's surface under its refined pose,
+    /// metres; NaN for a frame without usable depth. A frame far above the others has a bad pose or a bad mask.
+    pub fn frame_residuals(&self) -> &[f32] {
+        &self.residuals
+    }
+
+    /// Occupied space: outside of it the field is unknown.
+    pub fn octree(&self) -> &VoxelOctree {
+        &self.octree
+    }
+
+    /// Truncation distance, metres: within this distance of the surface the field is a distance, further outside it
+    /// only says "outside".
+    pub fn truncation(&self) -> f64 {
+        self.truncation
+    }
+
+    pub(crate) fn support(&self) -> &VoxelOctree {
+        &self.support
+    }
+
+    fn model(&self) -> Model<'_, f32> {
+        Model {
+            grid: &self.grid,
+            networks: &self.networks,
+            weights: &self.weights,
+            truncation: (self.truncation / self.edge) as f32,
+        }
+    }
+
+    /// Signed distances in metres of points in the object frame: positive outside the object, NaN where unknown
+    /// (outside the occupied space). Only as many points as both slices have are evaluated.
+    pub fn sdf(&self, points: &[[f32; 3]], sdf: &mut [f32]) {
+        self.evaluate(points, sdf, None);
+    }
+
+    /// Signed distances as [`sdf`](Self::sdf), with their gradients by the point (object frame, no unit; close to
+    /// unit length near the surface). NaN where unknown.
+    pub fn sdf_and_gradient(&self, points: &[[f32; 3]], sdf: &mut [f32], gradient: &mut [[f32; 3]]) {
+        self.evaluate(points, sdf, Some(gradient));
+    }
+
+    fn evaluate(&self, points: &[[f32; 3]], sdf: &mut [f32], gradient: Option<&mut [[f32; 3]]>) {
+        let n = points.len().min(sdf.len());
+        let (points, sdf) = (&points[..n], &mut sdf[..n]);
+        match gradient {
+            None if n <= TASK => self.evaluate_task(points, sdf, None),
+            None => points
+                .par_chunks(TASK)
+                .zip(sdf.par_chunks_mut(TASK))
+                .for_each(|(p, s)| self.evaluate_task(p, s, None)),
+            Some(g) => {
+                let n = n.min(g.len());
+                let (points, sdf, g) = (&points[..n], &mut sdf[..n], &mut g[..n]);
+                if n <= TASK {
+                    self.evaluate_task(points, sdf, Some(g));
+                    return;
+                }
+                points
+                    .par_chunks(TASK)
+                    .zip(sdf.par_chunks_mut(TASK))
+                    .zip(g.par_chunks_mut(TASK))
+                    .for_each(|((p, s), g)| self.evaluate_task(p, s, Some(g)));
+            }
+        }
+    }
+
+    fn evaluate_task(&self, points: &[[f32; 3]], sdf: &mut [f32], mut gradient: Option<&mut [[f32; 3]]>) {
+        let model = self.model();
+        let mut scratch = Scratch::new(BLOCK, BLOCK, &self.networks);
+        let mut pos = vec![0.0; 3 * BLOCK];
+        let metres = self.truncation as f32;
+        let slope = (self.truncation / self.edge) as f32;
+        for start in (0..points.len()).step_by(BLOCK) {
+            let block = &points[start..points.len().min(start + BLOCK)];
+            self.place(block, &mut pos);
+            simd::query(&model, BLOCK, &pos, &mut scratch, gradient.is_some());
+            for (l, p) in block.iter().enumerate() {
+                let known = self.octree.contains(*p);
+                sdf[start + l] = if known { metres * scratch.distances()[l] } else { f32::NAN };
+                if let Some(g) = gradient.as_deref_mut() {
+                    let d = [0, 1, 2].map(|a| f64::from(slope * scratch.slopes()[a * BLOCK + l]));
+                    let d = self.field_from_obj.rotation.inverse_transform_vector(&Vector3::from(d));
+                    g[start + l] = if known { [d.x as f32, d.y as f32, d.z as f32] } else { [f32::NAN; 3] };
+                }
+            }
+        }
+    }
+
+    /// Colours (RGB in 0..1) of points in the object frame seen along unit view directions (object frame, from the
+    /// camera to the point). Meaningful near the surface; NaN outside the occupied space.
+    pub fn color(&self, points: &[[f32; 3]], view_dirs: &[[f32; 3]], out: &mut [[f32; 3]]) {
+        let n = points.len().min(view_dirs.len()).min(out.len());
+        points[..n]
+            .par_chunks(TASK)
+            .zip(view_dirs[..n].par_chunks(TASK))
+            .zip(out[..n].par_chunks_mut(TASK))
+            .for_each(|((p, d), o)| self.color_task(p, d, o));
+    }
+
+    fn color_task(&self, points: &[[f32; 3]], dirs: &[[f32; 3]], out: &mut [[f32; 3]]) {
+        let model = self.model();
+        let mut scratch = Scratch::new(BLOCK, BLOCK, &self.networks);
+        let mut pos = vec![0.0; 3 * BLOCK];
+        let mut views = [[0.0; 3]; BLOCK];
+        for start in (0..points.len()).step_by(BLOCK) {
+            let end = points.len().min(start + BLOCK);
+            self.place(&points[start..end], &mut pos);
+            simd::query(&model, BLOCK, &pos, &mut scratch, false);
+            for (view, d) in views.iter_mut().zip(&dirs[start..end]) {
+                let d = self.field_from_obj.rotation * Vector3::from(d.map(f64::from));
+                *view = [d.x as f32, d.y as f32, d.z as f32];
+            }
+            simd::query_color(&model, BLOCK, &views, &mut scratch);
+            for l in 0..end - start {
+                let known = self.octree.contains(points[start + l]);
+                out[start + l] =
+                    [0, 1, 2].map(|c| if known { scratch.colors()[c * BLOCK + l] } else { f32::NAN });
+            }
+        }
+    }
+
+    /// Writes points as positions in the unit cube, `[axis][lane]`; unused lanes keep what they had.
+    fn place(&self, points: &[[f32; 3]], pos: &mut [f32]) {
+        let inverse = 1.0 / self.edge;
+        for (l, p) in points.iter().enumerate() {
+            let p = self.field_from_obj * Point3::from(p.map(f64::from));
+            for a in 0..3 {
+                let x = (p[a] - self.center[a]) * inverse + 0.5;
+                pos[a * BLOCK + l] = if x.is_finite() { x.clamp(0.0, 1.0) as f32 } else { 0.5 };
+            }
+        }
+    }
+
+    fn residual(&self, pose: &Isometry3<f64>, rays: &FrameRays) -> f32 {
+        let rays = &rays.surface;
+        let n = rays.dir.len();
+        let take = n.min(RESIDUAL_POINTS);
+        let points: Vec<[f32; 3]> = (0..take)
+            .map(|i| {
+                let i = i * n / take;
+                let p = pose * Point3::from(rays.dir[i].map(|c| f64::from(c * rays.distance[i])));
+                [p.x as f32, p.y as f32, p.z as f32]
+            })
+            .collect();
+        let mut sdf = vec![0.0; take];
+        self.evaluate_task(&points, &mut sdf, None);
+        let mut error: Vec<f32> = sdf.into_iter().map(f32::abs).filter(|v| v.is_finite()).collect();
+        if error.is_empty() {
+            return f32::NAN;
+        }
+        let middle = error.len() / 2;
+        *error.select_nth_unstable_by(middle, f32::total_cmp).1
+    }
+}
+
+/// Space within reach of a measured point: there the sign of the distance was observed. Deeper inside the object it
+/// is anybody's guess, and a mesh would get inner walls.
+fn support(
+    config: &FieldConfig,
+    octree: &VoxelOctree,
+    frames: &[Arc<FieldImages>],
+    poses: &[Isometry3<f64>],
+) -> Option<VoxelOctree> {
+    let mut cloud = Vec::new();
+    for (frame, pose) in frames.iter().zip(poses) {
+        frame.points(pose, SUPPORT_POINTS, &mut cloud);
+    }
+    cloud.retain(|p| octree.contains(*p));
+    let voxel = (0.5 * config.truncation as f32).min(0.5 * octree.voxel_size());
+    VoxelOctree::from_points(&cloud, voxel, 1)
+}

@@ -1,0 +1,75 @@
+//! Shapes and initial values of the two small networks, kept in one flat vector of weights.
+
+use crate::grid::mix;
+use crate::harmonics;
+use crate::real::Real;
+use std::ops::Range;
+
+/// Rows of a matrix and its bias inside the flat weight vector. Weights are `[output][input]`.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Layer {
+    pub(crate) inputs: usize,
+    pub(crate) outputs: usize,
+    start: usize,
+}
+
+impl Layer {
+    pub(crate) fn weights(&self) -> Range<usize> {
+        self.start..self.start + self.inputs * self.outputs
+    }
+
+    pub(crate) fn bias(&self) -> Range<usize> {
+        let end = self.weights().end;
+        end..end + self.outputs
+    }
+}
+
+/// Geometry: encoding -> hidden ReLU -> `[sdf | features]`. Colour: `[features | harmonics]` -> hidden ReLU ->
+/// hidden ReLU -> 3, then a sigmoid. Input widths are padded to multiples of 8 with inputs that stay zero.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Networks {
+    /// Geometry features that the colour network sees.
+    pub(crate) features: usize,
+    pub(crate) geometry: [Layer; 2],
+    pub(crate) color: [Layer; 3],
+    pub(crate) len: usize,
+}
+
+impl Networks {
+    pub(crate) fn new(encoding: usize, hidden: usize, features: usize) -> Self {
+        let mut len = 0;
+        let mut layer = |inputs: usize, outputs: usize| {
+            let layer = Layer { inputs, outputs, start: len };
+            len = layer.bias().end;
+            layer
+        };
+        let geometry = [layer(encoding.next_multiple_of(8), hidden), layer(hidden, 1 + features)];
+        let colour_in = (features + harmonics::COUNT).next_multiple_of(8);
+        let color = [layer(colour_in, hidden), layer(hidden, hidden), layer(hidden, 3)];
+        Self { features, geometry, color, len }
+    }
+
+    pub(crate) fn encoding(&self) -> usize {
+        self.geometry[0].inputs
+    }
+
+    pub(crate) fn hidden(&self) -> usize {
+        self.geometry[0].outputs
+    }
+
+    /// Uniform weights that keep the variance through ReLUs (He et al. 2015; with the smaller customary bound the
+    /// colour's gradient is so faint beside the distance's that the colour never leaves its mean), zero biases, and
+    /// +0.1 for the last geometry biases: an untrained point is outside.
+    pub(crate) fn init<R: Real>(&self, seed: u64) -> Vec<R> {
+        let mut weights = vec![R::ZERO; self.len];
+        for layer in self.geometry.iter().chain(&self.color) {
+            let bound = (6.0 / layer.inputs as f64).sqrt();
+            for i in layer.weights() {
+                let h = mix(seed ^ mix(0x6d6c_7000 ^ i as u64));
+                weights[i] = R::of(((h >> 40) as f64 / (1u64 << 23) as f64 - 1.0) * bound);
+            }
+        }
+        weights[self.geometry[1].bias()].fill(R::of(0.1));
+        weights
+    }
+}

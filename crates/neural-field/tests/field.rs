@@ -1,0 +1,250 @@
+//! The field on shapes whose surface, poses and colours are known.
+#![allow(clippy::unwrap_used, clippy::expect_used, missing_docs)]
+
+mod scene;
+
+use nalgebra::{Isometry3, Translation3};
+use neural_field::{Control, FieldConfig, FieldError, FieldImages, LossWeights, TrainedField, train};
+use scene::{Shape, noisy_views, paint, perturb, pose_errors, sdf_errors, views};
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+
+const SPHERE: Shape = Shape::Sphere { radius: 0.1 };
+const BOX: Shape = Shape::Box { half: [0.1, 0.06, 0.04] };
+
+fn median(sorted: &[f64]) -> f64 {
+    sorted[sorted.len() / 2]
+}
+
+/// A configuration small enough for a test.
+fn small() -> FieldConfig {
+    FieldConfig { steps: 150, surface_rays: 192, ring_rays: 64, ..FieldConfig::realtime() }
+}
+
+fn run(config: &FieldConfig, frames: &[Arc<FieldImages>], poses: &[Isometry3<f64>]) -> TrainedField {
+    train(config, frames, poses, &Control::default()).unwrap()
+}
+
+#[test]
+fn distances_are_right_around_a_sphere_and_a_box() {
+    for (shape, inside_known) in [(SPHERE, 0.004), (BOX, 0.004)] {
+        let (frames, poses) = views(&shape, 16, 80);
+        let field = run(&FieldConfig { pose_learning_rate: 0.0, ..small() }, &frames, &poses);
+        let near = sdf_errors(&field, &shape, 0.001, 2000);
+        let band = sdf_errors(&field, &shape, inside_known, 2000);
+        assert!(near.len() > 1900, "the surface is known");
+        println!("{shape:?}: near {:.2} mm, band {:.2} mm", 1e3 * median(&near), 1e3 * median(&band));
+        assert!(median(&near) < 0.5e-3 && median(&band) < 1e-3);
+        // Nothing was moved: poses come back as they were.
+        assert_eq!(field.poses(), poses);
+        assert!(field.frame_residuals().iter().all(|r| *r < 1e-3));
+    }
+}
+
+#[test]
+fn perturbed_poses_are_recovered_and_the_first_is_kept() {
+    for shape in [BOX, SPHERE] {
+        let (frames, truth) = noisy_views(&shape, 12, 80, 0.0005);
+        let start = perturb(&truth, 0.01, 5f64.to_radians());
+        let config = FieldConfig { steps: 300, surface_rays: 256, ..small() };
+        let field = run(&config, &frames, &start);
+        let [shift, _, turn, _] = pose_errors(field.poses(), &truth);
+        let near = sdf_errors(&field, &shape, 0.001, 2000);
+        println!(
+            "{shape:?}: {:.2} mm {:.2} deg, near {:.2} mm",
+            1e3 * shift,
+            turn.to_degrees(),
+            1e3 * median(&near)
+        );
+        assert_eq!(field.poses()[0], start[0]);
+        assert!(shift < 1e-3 && turn.to_degrees() < 0.3);
+        assert!(median(&near) < 1e-3);
+    }
+}
+
+#[test]
+fn a_wrong_frame_shows_in_its_residual() {
+    let (frames, mut poses) = views(&BOX, 12, 80);
+    poses[5] *= Translation3::new(0.0, 0.0, 0.015);
+    let field = run(&FieldConfig { pose_learning_rate: 0.0, ..small() }, &frames, &poses);
+    let r = field.frame_residuals();
+    let others = (0..12).filter(|&f| f != 5).map(|f| r[f]).fold(0.0, f32::max);
+    assert!(r[5] > 2.0 * others, "{r:?}");
+}
+
+#[test]
+fn the_size_of_the_scene_does_not_matter() {
+    for scale in [0.5, 1.0, 3.0] {
+        let shape = Shape::Sphere { radius: 0.1 * scale };
+        let (frames, poses) = views(&shape, 12, 80);
+        // The truncation distance stays the same: weights and sampling must not depend on the size.
+        let field = run(&FieldConfig { pose_learning_rate: 0.0, ..small() }, &frames, &poses);
+        let near = median(&sdf_errors(&field, &shape, 0.001 * scale, 2000)) / shape.extent();
+        println!("scale {scale}: {near:.5} of the extent");
+        assert!(near < 0.003, "scale {scale}: {near}");
+    }
+}
+
+#[test]
+fn results_do_not_depend_on_the_number_of_threads() {
+    let (frames, truth) = views(&BOX, 6, 60);
+    let start = perturb(&truth, 0.005, 0.05);
+    let config = FieldConfig { steps: 25, ..small() };
+    let with_threads = |n: usize| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(n).build().unwrap();
+        pool.install(|| run(&config, &frames, &start))
+    };
+    let (one, three) = (with_threads(1), with_threads(3));
+    assert_eq!(one.poses(), three.poses());
+    assert_eq!(one.losses(), three.losses());
+    let p = [[0.05f32, 0.03, 0.041], [0.1, 0.0, 0.0]];
+    let (mut a, mut b) = ([0.0f32; 2], [0.0f32; 2]);
+    one.sdf(&p, &mut a);
+    three.sdf(&p, &mut b);
+    assert_eq!(a.map(f32::to_bits), b.map(f32::to_bits));
+    let other = run(&FieldConfig { seed: 1, ..config.clone() }, &frames, &start);
+    assert_ne!(one.losses(), other.losses());
+}
+
+#[test]
+fn a_sphere_becomes_one_closed_coloured_mesh() {
+    let (frames, poses) = views(&SPHERE, 16, 80);
+    let config = FieldConfig { pose_learning_rate: 0.0, surface_rays: 256, steps: 250, ..small() };
+    let field = run(&config, &frames, &poses);
+    let mesh = field.extract_mesh(0.005);
+    assert_eq!(mesh.components().len(), 1);
+    assert!(mesh.is_watertight());
+    assert_eq!(mesh.euler_characteristic(), 2);
+    assert!(mesh.has_colors() && mesh.has_normals());
+    let volume = 4.0 / 3.0 * std::f64::consts::PI * 1e-3;
+    assert!((mesh.signed_volume() / volume - 1.0).abs() < 0.02);
+    let mut color_error = Vec::new();
+    for (i, v) in mesh.vertices.iter().enumerate() {
+        let p = v.map(f64::from);
+        assert!(SPHERE.sdf(p).abs() < 2e-3);
+        let outward: f64 = (0..3).map(|a| p[a] * f64::from(mesh.normals[i][a])).sum::<f64>() / 0.1;
+        assert!(outward > 0.9);
+        let truth = paint(p, 0.2);
+        color_error.push((0..3).map(|c| truth[c].abs_diff(mesh.colors[i][c])).max().unwrap());
+    }
+    color_error.sort_unstable();
+    println!("median colour error {} of 255", color_error[color_error.len() / 2]);
+    assert!(color_error[color_error.len() / 2] < 35);
+    assert!(field.extract_mesh(0.0).vertices.is_empty() && field.extract_mesh(f32::NAN).vertices.is_empty());
+}
+
+#[test]
+fn gradients_are_those_of_the_distances() {
+    let (frames, truth) = views(&BOX, 8, 60);
+    let start = perturb(&truth, 0.005, 0.05);
+    let field = run(&FieldConfig { steps: 60, ..small() }, &frames, &start);
+    let points = [[0.07f32, 0.033, 0.0427], [0.031, 0.0613, 0.012], [0.1037, -0.021, 0.017], [9.0, 0.0, 0.0]];
+    let (mut sdf, mut same, mut gradient) = ([0.0f32; 4], [0.0f32; 4], [[0.0f32; 3]; 4]);
+    field.sdf_and_gradient(&points, &mut sdf, &mut gradient);
+    field.sdf(&points, &mut same);
+    assert_eq!(sdf.map(f32::to_bits), same.map(f32::to_bits));
+    assert!(sdf[3].is_nan() && gradient[3].iter().all(|v| v.is_nan()));
+    let h = 5e-5f32;
+    for (p, g) in points[..3].iter().zip(&gradient) {
+        for a in 0..3 {
+            let (mut lo, mut hi) = (*p, *p);
+            lo[a] -= h;
+            hi[a] += h;
+            let mut s = [0.0; 2];
+            field.sdf(&[lo, hi], &mut s);
+            assert!(((s[1] - s[0]) / (2.0 * h) - g[a]).abs() < 0.1, "{p:?} axis {a}");
+        }
+    }
+}
+
+#[test]
+fn background_behind_the_object_is_used() {
+    let (mut frames, poses) = views(&SPHERE, 6, 60);
+    for f in &mut frames {
+        let f = Arc::make_mut(f);
+        for i in 0..f.depth.len() {
+            if f.mask[i] == 0 {
+                f.depth[i] = 2.0;
+            }
+        }
+    }
+    let uncertain = |weights: LossWeights, background_depth: bool| {
+        let config = FieldConfig { steps: 5, weights, background_depth, ..small() };
+        run(&config, &frames, &poses).losses().iter().map(|l| l.uncertain).sum::<f64>()
+    };
+    let weights = small().weights;
+    assert_eq!(uncertain(weights, true), 0.0);
+    assert!(uncertain(weights, false) > 0.0);
+}
+
+#[test]
+fn unusable_input_is_an_error_and_odd_input_is_survived() {
+    let (frames, poses) = views(&SPHERE, 3, 40);
+    let config = FieldConfig { steps: 3, ..small() };
+    let go =
+        |c: &FieldConfig, f: &[Arc<FieldImages>], p: &[Isometry3<f64>]| train(c, f, p, &Control::default());
+    let err = |r: Result<TrainedField, FieldError>| r.err().unwrap();
+
+    assert_eq!(err(go(&config, &[], &[])), FieldError::NoFrames);
+    assert_eq!(err(go(&config, &frames, &poses[..2])), FieldError::PoseCount { frames: 3, poses: 2 });
+    let mut bad = poses.clone();
+    bad[1].translation.vector.x = f64::NAN;
+    assert_eq!(err(go(&config, &frames, &bad)), FieldError::Pose { id: 1 });
+    let change = |edit: &dyn Fn(&mut FieldImages)| -> Vec<Arc<FieldImages>> {
+        frames
+            .iter()
+            .map(|f| {
+                let mut f = (**f).clone();
+                edit(&mut f);
+                Arc::new(f)
+            })
+            .collect()
+    };
+    assert_eq!(err(go(&config, &change(&|f| f.depth.fill(f32::NAN)), &poses)), FieldError::NoSurface);
+    assert_eq!(err(go(&config, &change(&|f| f.mask.fill(0)), &poses)), FieldError::NoSurface);
+    assert!(matches!(
+        err(go(
+            &config,
+            &change(&|f| {
+                f.depth.pop();
+            }),
+            &poses
+        )),
+        FieldError::Frame { id: 0, .. }
+    ));
+    assert!(matches!(err(go(&config, &change(&|f| f.fx = 0.0), &poses)), FieldError::Frame { .. }));
+    for broken in [
+        FieldConfig { hidden: 12, ..config.clone() },
+        FieldConfig { truncation: 0.0, ..config.clone() },
+        FieldConfig { epsilon: f64::NAN, ..config.clone() },
+        FieldConfig { surface_rays: 0, ..config.clone() },
+    ] {
+        assert!(matches!(err(go(&broken, &frames, &poses)), FieldError::Config { .. }));
+    }
+    let stop = AtomicBool::new(true);
+    let stopped = train(&config, &frames, &poses, &Control { stop: Some(&stop), progress: None });
+    assert_eq!(err(stopped), FieldError::Stopped);
+
+    // One frame; one masked pixel; a frame without a mask among good ones; the mask filling the image.
+    let one = go(&config, &frames[..1], &poses[..1]).unwrap();
+    assert_eq!(one.poses(), &poses[..1]);
+    let pixel = change(&|f| {
+        f.mask.fill(0);
+        f.mask[20 * 40 + 20] = 1;
+    });
+    assert!(go(&config, &pixel[..1], &poses[..1]).is_ok());
+    let mut mixed = frames.clone();
+    Arc::make_mut(&mut mixed[1]).mask.fill(0);
+    let field = go(&config, &mixed, &poses).unwrap();
+    assert!(
+        field.frame_residuals()[1].is_nan()
+            && field.poses()[1].translation.vector.iter().all(|v| v.is_finite())
+    );
+    assert!(go(&config, &change(&|f| f.mask.fill(1)), &poses).is_ok());
+    let flat = go(&FieldConfig { steps: 0, ..config.clone() }, &frames, &poses).unwrap();
+    assert_eq!(flat.poses(), poses);
+    flat.sdf(&[], &mut []);
+    let mut out = [0.0f32; 1];
+    flat.sdf(&[[f32::NAN; 3]], &mut out);
+    assert!(out[0].is_nan());
+}
