@@ -178,11 +178,23 @@ pub struct FieldSettings {
     pub steps: usize,
     /// Training steps of the last round, from which the mesh is taken.
     pub final_steps: usize,
+    /// Furthest that a round may move a keyframe along an axis (metres).
+    pub max_translation: f64,
+    /// Furthest that a round may turn a keyframe about an axis (degrees).
+    pub max_rotation_deg: f64,
 }
 
 impl Default for FieldSettings {
     fn default() -> Self {
-        Self { enabled: true, first_round_keyframes: 5, keyframes_per_round: 4, steps: 200, final_steps: 400 }
+        Self {
+            enabled: true,
+            first_round_keyframes: 5,
+            keyframes_per_round: 4,
+            steps: 200,
+            final_steps: 800,
+            max_translation: 0.02,
+            max_rotation_deg: 20.0,
+        }
     }
 }
 
@@ -277,6 +289,8 @@ impl Config {
         within("field.keyframes_per_round", f.keyframes_per_round, 1..=1000)?;
         within("field.steps", f.steps, 1..=100_000)?;
         within("field.final_steps", f.final_steps, 1..=100_000)?;
+        positive("field.max_translation", f.max_translation)?;
+        positive("field.max_rotation_deg", f.max_rotation_deg)?;
         positive("mesh.spacing", f64::from(self.mesh.spacing))
     }
 }

@@ -24,9 +24,14 @@ pub fn read_intrinsics(path: &Path) -> Result<Intrinsics, Error> {
 /// # Errors
 /// Unless there are exactly nine finite numbers with positive focal lengths, no skew and a last row `0 0 1`.
 pub fn parse_intrinsics(text: &str) -> Result<Intrinsics, Error> {
+    let n = numbers(text).map_err(|problem| Error::new("camera matrix", problem, REMEDY))?;
+    intrinsics_of(&n)
+}
+
+/// The camera of a matrix given by rows; see [`parse_intrinsics`].
+pub(crate) fn intrinsics_of(n: &[f64]) -> Result<Intrinsics, Error> {
     let fail = |problem: String| Error::new("camera matrix", problem, REMEDY);
-    let n = numbers(text).map_err(fail)?;
-    let &[fx, skew, cx, k10, fy, cy, k20, k21, k22] = n.as_slice() else {
+    let &[fx, skew, cx, k10, fy, cy, k20, k21, k22] = n else {
         return Err(fail(format!("holds {} numbers instead of 9", n.len())));
     };
     if n.iter().any(|v| !v.is_finite()) {

@@ -3,6 +3,7 @@
 use std::io::Cursor;
 use std::path::Path;
 
+use ::image::codecs::jpeg::JpegEncoder;
 use ::image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use ::image::{
     DynamicImage, ExtendedColorType, ImageDecoder, ImageEncoder, ImageError, ImageFormat, ImageReader,
@@ -64,6 +65,35 @@ pub fn read_mask(path: &Path) -> Result<Mask, Error> {
     if format == ImageFormat::Jpeg {
         return Err(Error::new(path, "is a JPEG and too lossy for a mask", "save the mask as PNG"));
     }
+    nonzero(path, decoded)
+}
+
+/// Reads a mask like [`read_mask`], but accepts JPEG too: object where it is brighter than half.
+#[cfg(feature = "datasets")]
+pub(crate) fn read_mask_thresholded(path: &Path) -> Result<Mask, Error> {
+    let (format, decoded) = decode(path)?;
+    if format != ImageFormat::Jpeg {
+        return nonzero(path, decoded);
+    }
+    let grey = decoded.into_luma8();
+    let (width, height) = (grey.width() as usize, grey.height() as usize);
+    let pixels = grey.into_raw().into_iter().map(|v| if v > 127 { 255 } else { 0 }).collect();
+    sized(path, width, height, pixels)
+}
+
+/// Reads an 8-bit RGB image that has to be exact, and therefore a PNG.
+#[cfg(feature = "datasets")]
+pub(crate) fn read_png_rgb(path: &Path) -> Result<Image<[u8; 3]>, Error> {
+    match decode(path)? {
+        (ImageFormat::Png, DynamicImage::ImageRgb8(rgb)) => {
+            let (width, height) = (rgb.width() as usize, rgb.height() as usize);
+            sized(path, width, height, rgb.into_raw().as_chunks::<3>().0.to_vec())
+        }
+        _ => Err(Error::new(path, "isn't an 8-bit RGB PNG", "download or copy this image again")),
+    }
+}
+
+fn nonzero(path: &Path, decoded: DynamicImage) -> Result<Mask, Error> {
     let (width, height) = (decoded.width() as usize, decoded.height() as usize);
     let object = |on: bool| if on { 255 } else { 0 };
     let pixels = match decoded {
@@ -222,6 +252,34 @@ pub fn write_png_depth(path: &Path, depth: &Image<f32>) -> Result<(), Error> {
         bytes.extend_from_slice(&mm.to_ne_bytes());
     }
     write_png(path, depth.size(), &bytes, ExtendedColorType::L16)
+}
+
+/// Writes a 16-bit image as PNG, for depth in other units than millimetres.
+///
+/// # Errors
+/// As [`write_png_rgb`].
+pub fn write_png_u16(path: &Path, image: &Image<u16>) -> Result<(), Error> {
+    let bytes: Vec<u8> = image.pixels().iter().flat_map(|v| v.to_ne_bytes()).collect();
+    write_png(path, image.size(), &bytes, ExtendedColorType::L16)
+}
+
+/// Writes an RGB image as JPEG of `quality` 1 to 100, whole or not at all.
+///
+/// # Errors
+/// As [`write_png_rgb`].
+pub fn write_jpeg_rgb(path: &Path, image: &Image<[u8; 3]>, quality: u8) -> Result<(), Error> {
+    let failed = |problem: String| Error::new(path, problem, "write an image of 1 to 65535 pixels a side");
+    let (Ok(width), Ok(height)) = (u16::try_from(image.width()), u16::try_from(image.height())) else {
+        return Err(failed("would be too large for a JPEG".into()));
+    };
+    if width == 0 || height == 0 {
+        return Err(failed("would have no pixels".into()));
+    }
+    let mut jpeg = Vec::new();
+    JpegEncoder::new_with_quality(&mut jpeg, quality.clamp(1, 100))
+        .write_image(image.pixels().as_flattened(), width.into(), height.into(), ExtendedColorType::Rgb8)
+        .map_err(|e| failed(format!("can't be encoded ({e})")))?;
+    write_atomic(path, &jpeg)
 }
 
 fn write_png(path: &Path, size: (usize, usize), bytes: &[u8], kind: ExtendedColorType) -> Result<(), Error> {

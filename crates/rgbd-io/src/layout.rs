@@ -245,7 +245,11 @@ pub(crate) fn read_depth(root: &Path, entry: &Entry, size: (usize, usize)) -> Re
 
 /// Reads a frame's mask at the size of its colour image: nearest-neighbour resized from the same aspect ratio.
 pub(crate) fn read_mask(path: &Path, size: (usize, usize)) -> Result<Mask, Error> {
-    let mask = codec::read_mask(path)?;
+    fit_mask(codec::read_mask(path)?, path, size)
+}
+
+/// A mask at `size`; see [`read_mask`].
+pub(crate) fn fit_mask(mask: Mask, path: &Path, size: (usize, usize)) -> Result<Mask, Error> {
     if mask.size() == size {
         return Ok(mask);
     }

@@ -28,7 +28,8 @@
 //! [`ReadAhead`] hides the decoding time behind the caller's work.
 //!
 //! Feature `codecs` (on by default) reads and writes PNG and reads JPEG. Without it there remain the image and
-//! camera types, [`poses`], [`ReadAhead`] and [`read_intrinsics`].
+//! camera types, [`poses`], [`ReadAhead`] and [`read_intrinsics`]. Feature `datasets` adds HO-3D, YCBInEOAT, BEHAVE,
+//! BOP and TUM RGB-D with their truth.
 
 mod calibration;
 mod error;
@@ -43,6 +44,8 @@ mod read_ahead;
 mod codec;
 #[cfg(feature = "codecs")]
 mod custom;
+#[cfg(feature = "datasets")]
+pub mod datasets;
 #[cfg(feature = "codecs")]
 mod depth_units;
 #[cfg(feature = "codecs")]
@@ -60,7 +63,10 @@ pub use intrinsics::Intrinsics;
 pub use read_ahead::ReadAhead;
 
 #[cfg(feature = "codecs")]
-pub use codec::{read_color, read_depth_u16, read_mask, write_png_depth, write_png_mask, write_png_rgb};
+pub use codec::{
+    read_color, read_depth_u16, read_mask, write_jpeg_rgb, write_png_depth, write_png_mask, write_png_rgb,
+    write_png_u16,
+};
 #[cfg(feature = "codecs")]
 pub use custom::CustomFolder;
 #[cfg(feature = "codecs")]

@@ -51,7 +51,7 @@ pub fn parse_pose(text: &str) -> Result<Isometry3<f64>, Error> {
 }
 
 /// The rotation nearest to a matrix that already is one up to rounding.
-fn nearest_rotation(m: &Matrix3<f64>) -> Result<UnitQuaternion<f64>, String> {
+pub(crate) fn nearest_rotation(m: &Matrix3<f64>) -> Result<UnitQuaternion<f64>, String> {
     let off = m.transpose() * m - Matrix3::identity();
     // `all` and not a maximum, so that an overflow to NaN fails too.
     if !off.iter().all(|v| v.abs() <= ROTATION_TOLERANCE) {

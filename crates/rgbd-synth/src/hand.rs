@@ -43,7 +43,7 @@ impl Hand {
     /// A hand with skin and sleeve of the given textures.
     pub fn new(grip: Grip, skin: Texture, sleeve: Texture) -> Self {
         let cone = |length: f64, a: f64, b: f64, texture: &Texture| {
-            Object::from_mesh(rounded_cone(length as f32, a as f32, b as f32), texture.clone())
+            Object::from_closed(rounded_cone(length as f32, a as f32, b as f32), texture.clone())
         };
         let [a, b, c] = FINGER;
         let parts = [

@@ -18,17 +18,24 @@
 //! ```
 //!
 //! The design decision: a frame is a pure function of the description and its index. The motion is a function of
-//! time, colour is a function of the surface point, and the sensor's random values follow from seed, frame and row,
+//! time, colour is a function of the surface point, and the sensor's random values follow from seed, frame and pixel,
 //! so frames can be rendered in any order, on any number of threads, with identical bits. [`Sequence`] is therefore a
 //! [`rgbd_io::FrameSource`] like any folder, without a file being written; [`write_custom`] makes the folder.
+//!
+//! [`Sequence::demo`] is one sequence to look at, [`Sequence::suite`] names thirteen that each make one thing hard: no
+//! texture, symmetry, thin parts, shine, speed, occlusion, bad masks, bad depth, small, large, a full turn, a moving
+//! camera.
 //!
 //! Solids are described as signed distances ([`Shape`]) and meshed as one piece, so that the true mesh
 //! ([`Sequence::mesh`]) is the outer surface and nothing else. The object frame is the mesh's own; an evaluation that
 //! compares with a tracker's frame aligns both at the first frame.
 
+mod atlas;
 mod backdrop;
 mod error;
 mod hand;
+mod layouts;
+mod mask_faults;
 mod motion;
 mod noise;
 mod object;
@@ -36,8 +43,10 @@ mod presets;
 mod raster;
 mod scene;
 mod sensor;
+mod sensor_models;
 mod sequence;
 mod shape;
+mod suite;
 mod surface;
 mod tessellate;
 mod texture;
@@ -46,10 +55,12 @@ mod write;
 pub use backdrop::{Backdrop, Plane};
 pub use error::Error;
 pub use hand::{Grip, Hand};
+pub use layouts::{write_behave, write_bop, write_ho3d, write_tum, write_ycbineoat};
+pub use mask_faults::MaskFaults;
 pub use motion::{Motion, Tumble};
 pub use object::Object;
 pub use presets::{jug, room};
-pub use scene::Light;
+pub use scene::{Gloss, Light};
 pub use sensor::Sensor;
 pub use sequence::{Masks, Occluder, Sequence, SequenceSpec, SynthFrame};
 pub use shape::Shape;

@@ -1,6 +1,9 @@
 //! Hashes and value noise: everything random in a scene is a function of a seed and a place.
 
+use std::sync::OnceLock;
+
 /// One round of SplitMix64 (Steele, Lea and Flood, OOPSLA 2014): turns counters into independent seeds.
+#[inline]
 pub(crate) fn mix(x: u64) -> u64 {
     let mut z = x.wrapping_add(0x9e37_79b9_7f4a_7c15);
     z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
@@ -9,9 +12,46 @@ pub(crate) fn mix(x: u64) -> u64 {
 }
 
 /// Seed of one stream: a sequence's seed, a frame, and a row or purpose.
-pub(crate) fn stream(seed: u64, index: u64, row: u64) -> u128 {
-    let a = mix(seed ^ mix(index ^ mix(row)));
-    (u128::from(a) << 64) | u128::from(mix(a))
+pub(crate) fn stream(seed: u64, index: u64, row: u64) -> u64 {
+    mix(seed ^ mix(index ^ mix(row)))
+}
+
+/// Levels of [`normal_levels`].
+const LEVELS: usize = 4096;
+
+/// Standard normal values at equal steps of probability (Abramowitz and Stegun 1964, 26.2.23, scaled to unit
+/// variance): a look-up with 12 random bits takes the place of a logarithm, a root and a cosine for every pixel. The
+/// largest value is 3.7.
+pub(crate) fn normal_levels() -> &'static [f32; LEVELS] {
+    static TABLE: OnceLock<Box<[f32; LEVELS]>> = OnceLock::new();
+    TABLE.get_or_init(|| {
+        let mut table = Box::new([0.0f32; LEVELS]);
+        let mut power = 0.0;
+        for (i, value) in table.iter_mut().enumerate() {
+            let p = (i as f64 + 0.5) / LEVELS as f64;
+            let t = (-2.0 * p.min(1.0 - p).ln()).sqrt();
+            let above = 2.515_517 + t * (0.802_853 + t * 0.010_328);
+            let below = 1.0 + t * (1.432_788 + t * (0.189_269 + t * 0.001_308));
+            let v = (t - above / below) * (p - 0.5).signum();
+            power += v * v / LEVELS as f64;
+            *value = v as f32;
+        }
+        let scale = 1.0 / power.sqrt() as f32;
+        table.iter_mut().for_each(|v| *v *= scale);
+        table
+    })
+}
+
+/// The value of [`normal_levels`] that the twelve bits of `random` from `shift` on choose.
+#[inline]
+pub(crate) fn normal(levels: &[f32; LEVELS], random: u64, shift: u32) -> f32 {
+    levels[(random >> shift) as usize % LEVELS]
+}
+
+/// Even in `[0, 1)`: the sixteen bits of `random` from `shift` on.
+#[inline]
+pub(crate) fn unit(random: u64, shift: u32) -> f32 {
+    (random >> shift & 0xffff) as f32 / 65_536.0
 }
 
 /// A lattice point's 32 random bits.
@@ -87,6 +127,17 @@ mod tests {
             let near = fractal_noise([p[0] + 1e-4, p[1], p[2]], 4, 5);
             assert!((v - near).abs() < 5e-3);
         }
+    }
+
+    #[test]
+    fn normal_values_have_mean_zero_unit_variance_and_the_known_quantiles() {
+        let table = normal_levels();
+        let mean = table.iter().sum::<f32>() / 4096.0;
+        let power = table.iter().map(|v| v * v).sum::<f32>() / 4096.0;
+        assert!(mean.abs() < 1e-4 && (power - 1.0).abs() < 1e-4);
+        assert!(table.windows(2).all(|w| w[0] < w[1]));
+        // 84.13 % of all values lie below one, 97.72 % below two.
+        assert!((table[3446] - 1.0).abs() < 0.01 && (table[4002] - 2.0).abs() < 0.02);
     }
 
     #[test]

@@ -1,7 +1,9 @@
 //! A body to look at: a mesh with a solid texture.
 
-use crate::{Error, Shape, Texture};
+use crate::atlas::Atlas;
+use crate::{Error, Gloss, Shape, Texture};
 use marching_cubes::TriMesh;
+use std::sync::{Arc, OnceLock};
 
 /// A body: its outer surface, and its colour as a function of the surface point.
 #[derive(Clone, Debug)]
@@ -9,6 +11,9 @@ pub struct Object {
     mesh: TriMesh,
     texture: Texture,
     shape: Option<Shape>,
+    gloss: Option<Gloss>,
+    closed: bool,
+    atlas: OnceLock<Option<Arc<Atlas>>>,
 }
 
 impl Object {
@@ -20,7 +25,7 @@ impl Object {
     pub fn from_shape(shape: Shape, texture: Texture, voxel: f32) -> Result<Self, Error> {
         let mut mesh = crate::surface::extract(&shape, voxel)?;
         mesh.normals = mesh.vertices.iter().map(|&v| shape.normal(v, 0.5 * voxel)).collect();
-        Ok(Self { shape: Some(shape), ..Self::from_mesh(mesh, texture) })
+        Ok(Self { shape: Some(shape), closed: true, ..Self::from_mesh(mesh, texture) })
     }
 
     /// A body from a mesh of its own frame (metres). Missing normals are computed; the vertices get the texture's
@@ -35,7 +40,18 @@ impl Object {
             .zip(&mesh.normals)
             .map(|(&v, &n)| texture.color(v, n).map(|c| (c * 255.0).round().clamp(0.0, 255.0) as u8))
             .collect();
-        Self { mesh, texture, shape: None }
+        Self { mesh, texture, shape: None, gloss: None, closed: false, atlas: OnceLock::new() }
+    }
+
+    /// A body from a mesh that is known to be closed and counter-clockwise from outside.
+    pub(crate) fn from_closed(mesh: TriMesh, texture: Texture) -> Self {
+        Self { closed: true, ..Self::from_mesh(mesh, texture) }
+    }
+
+    /// The same body with a shine of its own in place of [`crate::Light::specular`].
+    #[must_use]
+    pub fn with_gloss(self, gloss: Gloss) -> Self {
+        Self { gloss: Some(gloss), ..self }
     }
 
     /// The true surface in the object's frame, metres, with vertex normals and colours.
@@ -43,7 +59,8 @@ impl Object {
         &self.mesh
     }
 
-    /// The texture that the renderer evaluates at every pixel.
+    /// The texture: the renderer evaluates it at every pixel, or, on meshes of small triangles, at twice the
+    /// density of the vertices and interpolates.
     pub fn texture(&self) -> &Texture {
         &self.texture
     }
@@ -51,5 +68,19 @@ impl Object {
     /// The solid that the mesh was extracted from, if it was.
     pub fn shape(&self) -> Option<&Shape> {
         self.shape.as_ref()
+    }
+
+    /// The body's own shine, if it has one.
+    pub fn gloss(&self) -> Option<Gloss> {
+        self.gloss
+    }
+
+    pub(crate) fn is_closed(&self) -> bool {
+        self.closed
+    }
+
+    /// The texture's colours over all triangles, where the triangles are small enough.
+    pub(crate) fn atlas(&self) -> Option<&Atlas> {
+        self.atlas.get_or_init(|| Atlas::bake(&self.mesh, &self.texture).map(Arc::new)).as_deref()
     }
 }

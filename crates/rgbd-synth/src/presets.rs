@@ -3,8 +3,8 @@
 use crate::motion::Tumble;
 use crate::texture::{Layer, Mapping, Pattern};
 use crate::{
-    Backdrop, Grip, Hand, Light, Masks, Motion, Object, Occluder, Plane, Sensor, Sequence, SequenceSpec,
-    Shape, Texture,
+    Backdrop, Grip, Hand, Light, MaskFaults, Masks, Motion, Object, Occluder, Plane, Sensor, Sequence,
+    SequenceSpec, Shape, Texture,
 };
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use rgbd_io::Intrinsics;
@@ -28,6 +28,7 @@ impl Sequence {
             seed: 7,
             object: jug(),
             motion: demo_motion(),
+            camera: None,
             occluders: vec![
                 Occluder::Hand(Box::new(Hand::new(Grip::default(), skin, sleeve()))),
                 Occluder::Rigid { object: rod, motion: crossing(CROSSING) },
@@ -36,6 +37,7 @@ impl Sequence {
             light: Light::default(),
             sensor: Sensor::structured_light(),
             masks: Masks::Every,
+            mask_faults: MaskFaults::none(),
         })
     }
 
@@ -136,7 +138,7 @@ pub(crate) fn jug_shape() -> Shape {
     }
 }
 
-fn turned(place: [f32; 3], turn: Vector3<f32>) -> Isometry3<f32> {
+pub(crate) fn turned(place: [f32; 3], turn: Vector3<f32>) -> Isometry3<f32> {
     Isometry3::from_parts(Translation3::from(place), UnitQuaternion::from_scaled_axis(turn))
 }
 
@@ -176,7 +178,7 @@ fn jug_texture() -> Texture {
     }
 }
 
-fn skin() -> Texture {
+pub(crate) fn skin() -> Texture {
     Texture {
         palette: vec![[0.66, 0.43, 0.34], [0.78, 0.55, 0.44], [0.84, 0.62, 0.51]],
         scale: 0.012,
@@ -186,7 +188,7 @@ fn skin() -> Texture {
     }
 }
 
-fn sleeve() -> Texture {
+pub(crate) fn sleeve() -> Texture {
     Texture {
         palette: vec![[0.20, 0.22, 0.27], [0.30, 0.32, 0.38]],
         scale: 0.02,
@@ -200,7 +202,7 @@ fn sleeve() -> Texture {
     }
 }
 
-fn rod() -> Object {
+pub(crate) fn rod() -> Object {
     let texture = Texture {
         palette: vec![[0.50, 0.38, 0.24], [0.62, 0.48, 0.30]],
         scale: 0.03,
@@ -212,7 +214,7 @@ fn rod() -> Object {
         }],
         seed: 9,
     };
-    Object::from_mesh(crate::tessellate::rounded_cone(0.6, 0.0098, 0.0098), texture)
+    Object::from_closed(crate::tessellate::rounded_cone(0.6, 0.0098, 0.0098), texture)
 }
 
 /// From the left to the right and out of sight again, leaning.
@@ -229,22 +231,46 @@ fn crossing([from, to]: [f64; 2]) -> Motion {
 
 /// A corner of a room, 1.2 to 2 m away: two walls, a table, and things that stand on it.
 pub fn room() -> Backdrop {
+    scaled_room(1.0)
+}
+
+/// [`room`] with all lengths times `size`.
+pub(crate) fn scaled_room(size: f32) -> Backdrop {
     let plane = |normal: [f64; 3], distance: f64, texture: Texture| {
         let n = Vector3::from(normal).normalize();
-        Plane { normal: n.into(), distance, texture }
+        Plane { normal: n.into(), distance: distance * f64::from(size), texture }
     };
-    let wall = |seed, a: [f32; 3], b: [f32; 3]| Texture {
+    let wall = |seed, a, b| wall(seed, a, b, size);
+    Backdrop {
+        planes: vec![
+            plane([0.12, 0.05, -1.0], 1.62, wall(31, [0.62, 0.63, 0.60], [0.72, 0.72, 0.67])),
+            plane([-1.0, 0.0, -0.25], 1.05, wall(32, [0.55, 0.60, 0.64], [0.66, 0.69, 0.70])),
+            plane([0.0, -1.0, -0.12], 0.46, wood()),
+        ],
+        furniture: vec![
+            block([0.10, 0.13, 0.05], [-0.38, 0.14, 1.32], 0.4, [0.52, 0.22, 0.20], 41, size),
+            block([0.06, 0.09, 0.06], [-0.10, 0.19, 1.42], -0.5, [0.26, 0.42, 0.30], 42, size),
+            block([0.13, 0.05, 0.09], [0.36, 0.22, 1.28], 0.7, [0.72, 0.66, 0.42], 43, size),
+        ],
+    }
+}
+
+pub(crate) fn wall(seed: u32, a: [f32; 3], b: [f32; 3], size: f32) -> Texture {
+    Texture {
         palette: vec![a, b],
-        scale: 0.35,
+        scale: 0.35 * size,
         octaves: 5,
         layers: vec![Layer {
-            pattern: Pattern::Patches { scale: 0.5, threshold: 0.66 },
+            pattern: Pattern::Patches { scale: 0.5 * size, threshold: 0.66 },
             color: a.map(|c| c * 0.82),
-            band: Some([-2.0, -0.15]),
+            band: Some([-2.0 * size, -0.15 * size]),
         }],
         seed,
-    };
-    let table = Texture {
+    }
+}
+
+pub(crate) fn wood() -> Texture {
+    Texture {
         palette: vec![[0.42, 0.30, 0.20], [0.56, 0.42, 0.29]],
         scale: 0.08,
         octaves: 4,
@@ -254,37 +280,33 @@ pub fn room() -> Backdrop {
             band: None,
         }],
         seed: 21,
-    };
-    Backdrop {
-        planes: vec![
-            plane([0.12, 0.05, -1.0], 1.62, wall(31, [0.62, 0.63, 0.60], [0.72, 0.72, 0.67])),
-            plane([-1.0, 0.0, -0.25], 1.05, wall(32, [0.55, 0.60, 0.64], [0.66, 0.69, 0.70])),
-            plane([0.0, -1.0, -0.12], 0.46, table),
-        ],
-        furniture: vec![
-            block([0.10, 0.13, 0.05], [-0.38, 0.14, 1.32], 0.4, [0.52, 0.22, 0.20], 41),
-            block([0.06, 0.09, 0.06], [-0.10, 0.19, 1.42], -0.5, [0.26, 0.42, 0.30], 42),
-            block([0.13, 0.05, 0.09], [0.36, 0.22, 1.28], 0.7, [0.72, 0.66, 0.42], 43),
-        ],
     }
 }
 
-/// A printed box with half-lengths `half` (metres) at `place` of the camera frame.
-fn block(half: [f32; 3], place: [f64; 3], turn: f64, color: [f32; 3], seed: u32) -> (Object, Isometry3<f64>) {
+/// A printed box with half-lengths `half` (metres) at `place` of the world frame, all lengths times `size`.
+pub(crate) fn block(
+    half: [f32; 3],
+    place: [f64; 3],
+    turn: f64,
+    color: [f32; 3],
+    seed: u32,
+    size: f32,
+) -> (Object, Isometry3<f64>) {
+    let (half, place) = (half.map(|v| v * size), place.map(|v| v * f64::from(size)));
     let texture = Texture {
         palette: vec![color, color.map(|c| (c * 1.3).min(1.0))],
-        scale: 0.07,
+        scale: 0.07 * size,
         octaves: 4,
         layers: vec![Layer {
-            pattern: Pattern::Glyphs { cell: 0.03, density: 0.6, mapping: Mapping::Cube },
+            pattern: Pattern::Glyphs { cell: 0.03 * size, density: 0.6, mapping: Mapping::Cube },
             color: color.map(|c| 1.0 - 0.7 * c),
-            band: Some([-0.06, 0.02]),
+            band: Some([-0.06 * size, 0.02 * size]),
         }],
         seed,
     };
     let rotation = UnitQuaternion::from_axis_angle(&Vector3::y_axis(), turn);
     let pose = Isometry3::from_parts(Translation3::from(place), rotation);
-    (Object::from_mesh(crate::tessellate::cuboid(half), texture), pose)
+    (Object::from_closed(crate::tessellate::cuboid(half), texture), pose)
 }
 
 impl Default for Grip {

@@ -19,6 +19,8 @@ const NONE: u32 = u32::MAX;
 pub(crate) struct Placed<'a> {
     pub(crate) mesh: &'a TriMesh,
     pub(crate) cam_from_mesh: Isometry3<f64>,
+    /// A closed surface, counter-clockwise from outside: its far side is left out, since no pixel sees it.
+    pub(crate) closed: bool,
 }
 
 /// What the pixel centres see, in the smallest window that holds everything drawn; row-major.
@@ -113,12 +115,12 @@ fn flatten(k: &Intrinsics, width: usize, height: usize, bodies: &[Placed<'_>]) -
             if let (Some(p), Some(q), Some(r)) = (of(a), of(b), of(c)) {
                 if p[2] >= NEAR && q[2] >= NEAR && r[2] >= NEAR {
                     let corners = [a, b, c].map(|i| flat[i as usize]);
-                    flats.extend(boxed(corners, id, width, height));
+                    flats.extend(boxed(corners, id, body.closed, width, height));
                 } else {
                     let kept = clip([p, q, r]);
                     for i in 2..kept.len() {
                         let corners = [kept[0], kept[i - 1], kept[i]].map(|v| project(k, v));
-                        flats.extend(boxed(corners, id, width, height));
+                        flats.extend(boxed(corners, id, body.closed, width, height));
                     }
                 }
             }
@@ -150,14 +152,18 @@ fn clip(corners: [[f64; 3]; 3]) -> Vec<[f64; 3]> {
 }
 
 /// The triangle with its box, unless it lies outside the image or between the pixel centres, as many of a fine mesh
-/// do, or has no area.
-fn boxed(corners: [Corner; 3], id: u32, width: usize, height: usize) -> Option<Flat> {
-    let x = pixels(corners.map(|c| c.x), width)?;
-    let y = pixels(corners.map(|c| c.y), height)?;
+/// do, or has no area, or looks away from the camera on a closed surface.
+fn boxed(corners: [Corner; 3], id: u32, closed: bool, width: usize, height: usize) -> Option<Flat> {
     let [a, b, c] = corners;
     let area = (b.x - a.x) * (c.y - a.y) - (c.x - a.x) * (b.y - a.y);
-    // Written so that a NaN fails it.
-    (area.abs() >= 1e-12).then_some(Flat { corners, x, y, id })
+    // Rows run downwards, so counter-clockwise is negative. Written so that a NaN fails it.
+    let shown = area.abs() >= 1e-12 && (!closed || area < 0.0);
+    if !shown {
+        return None;
+    }
+    let x = pixels(corners.map(|c| c.x), width)?;
+    let y = pixels(corners.map(|c| c.y), height)?;
+    Some(Flat { corners, x, y, id })
 }
 
 /// First and last pixel centre between the smallest and the largest of `v`.

@@ -1,19 +1,18 @@
 //! The sensor's faults: noise, quantisation, missing depth, exposure.
 
-use crate::noise::stream;
+use crate::noise::{lattice, mix, normal, normal_levels, stream, unit};
 use crate::scene::{Camera, Clean};
-use rand::Rng;
-use rand_pcg::Pcg64Mcg;
 use rayon::prelude::*;
 use rgbd_io::Image;
 
-/// What a structured-light RGB-D camera does to a perfect frame.
+/// What an RGB-D camera does to a perfect frame.
 ///
-/// The noise of the depth is Gaussian with
-/// `sigma = base + quadratic z^2 + grazing / sqrt(z) theta^2 / (pi/2 - theta)^2`, where theta is the angle between
-/// the surface's normal and the ray: growth with the square of the distance after Khoshelham and Elberink, Sensors
-/// 12(2), 2012, eq. 10; growth at grazing angles after Nguyen, Izadi and Lovell, 3DIMPVT 2012, eq. 3, who give it
-/// for theta above 60 degrees.
+/// The noise of the depth is Gaussian with `sigma = base + quadratic z^2 + grazing / sqrt(z) theta^2 / (pi/2 -
+/// theta)^2 + amplitude z / sqrt(albedo cos theta)`, where theta is the angle between the surface's normal and the
+/// ray. The terms: growth with the square of the distance in triangulation (Khoshelham and Elberink, Sensors 12(2),
+/// 2012, eq. 10); growth at grazing angles (Nguyen, Izadi and Lovell, 3DIMPVT 2012, eq. 3, who give it for theta
+/// above 60 degrees); photon noise in time of flight, which falls with the root of the light that returns (Lange and
+/// Seitz, IEEE Journal of Quantum Electronics 37(3), 2001).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sensor {
     /// Noise that is there at any distance, metres.
@@ -22,10 +21,22 @@ pub struct Sensor {
     pub depth_quadratic: f32,
     /// Coefficient of the grazing-angle term, metres^1.5.
     pub depth_grazing: f32,
+    /// Coefficient of the photon-noise term: noise per distance on a white surface seen head on.
+    pub depth_amplitude: f32,
+    /// Standard deviation per squared distance (1/metre) of noise that is shared by neighbours, as that of matched
+    /// blocks is.
+    pub correlated: f32,
+    /// Pixels over which it is shared.
+    pub correlation: f32,
+    /// Amplitude and wavelength (metres) of a systematic error that waves with the distance, as that of modulated
+    /// light does (Lindner and Kolb, ISVC 2006).
+    pub wiggle: [f32; 2],
     /// Standard deviation of the place where a pixel's depth is read, pixels: frays the edges.
     pub lateral: f32,
     /// Depth is rounded to multiples of this, metres; `0` = not at all.
     pub quantum: f32,
+    /// Inverse depth is rounded to multiples of this before, 1/metre; `0` = not at all.
+    pub disparity_quantum: f32,
     /// Depth beyond this is missing, metres.
     pub max_range: f32,
     /// A depth edge: neighbours whose depths differ by more than this, metres.
@@ -42,6 +53,8 @@ pub struct Sensor {
     pub hole_share: f32,
     /// Largest radius of the holes, pixels.
     pub hole_radius: f32,
+    /// Where the colour is brighter than this (1 = white) depth is missing: a highlight outshines the pattern.
+    pub glare: f32,
     /// Standard deviation of the colour noise, of 255.
     pub color_noise: f32,
     /// Share of the time between two frames in which the shutter is open; `0` = no motion blur.
@@ -51,56 +64,20 @@ pub struct Sensor {
 }
 
 impl Sensor {
-    /// No fault at all: depth as exact as `f32` allows.
-    pub fn perfect() -> Self {
-        Self {
-            depth_base: 0.0,
-            depth_quadratic: 0.0,
-            depth_grazing: 0.0,
-            lateral: 0.0,
-            quantum: 0.0,
-            max_range: f32::INFINITY,
-            edge_step: 0.02,
-            edge_radius: 1,
-            edge_dropout: 0.0,
-            flying: 0.0,
-            grazing_limit: std::f32::consts::FRAC_PI_2,
-            hole_share: 0.0,
-            hole_radius: 0.0,
-            color_noise: 0.0,
-            exposure: 0.0,
-            brightness_swing: 0.0,
-        }
-    }
-
-    /// A structured-light camera: about 1.1 mm noise at 0.6 m, 1 mm steps, missing depth at edges, grazing angles
-    /// and in small holes.
-    pub fn structured_light() -> Self {
-        Self {
-            depth_base: 0.000_4,
-            depth_quadratic: 0.001_9,
-            depth_grazing: 0.000_1,
-            lateral: 0.4,
-            quantum: 0.001,
-            max_range: 4.0,
-            edge_step: 0.02,
-            edge_radius: 2,
-            edge_dropout: 0.35,
-            flying: 0.03,
-            grazing_limit: 75f32.to_radians(),
-            hole_share: 0.012,
-            hole_radius: 5.0,
-            color_noise: 2.5,
-            exposure: 0.0,
-            brightness_swing: 0.05,
-        }
-    }
-
-    /// Standard deviation (metres) of the depth noise at depth `z` (metres) on a surface whose normal forms an angle
-    /// of the given cosine with the ray.
+    /// Standard deviation (metres) of the depth noise at depth `z` (metres) on a white surface whose normal forms an
+    /// angle of the given cosine with the ray; without the correlated part.
     pub fn depth_sigma(&self, z: f32, cosine: f32) -> f32 {
+        self.sigma(z, cosine, 1.0)
+    }
+
+    #[inline]
+    fn sigma(&self, z: f32, cosine: f32, albedo: f32) -> f32 {
         let mut sigma = self.depth_base + self.depth_quadratic * z * z;
-        if cosine < 0.5 {
+        if self.depth_amplitude > 0.0 {
+            // Even black velvet returns a little.
+            sigma += self.depth_amplitude * z / (albedo * cosine).clamp(0.02, 1.0).sqrt();
+        }
+        if cosine < 0.5 && self.depth_grazing > 0.0 {
             let theta = cosine.max(0.0).acos();
             // Past 85 degrees the formula leaves the range it was fitted in.
             let theta = theta.min(85f32.to_radians());
@@ -112,10 +89,6 @@ impl Sensor {
 
     /// Share of the depth that is missing on a surface of this cosine.
     fn grazing_loss(&self, cosine: f32) -> f32 {
-        // Most surfaces are far from grazing, and the arc cosine is slow.
-        if cosine > 0.75 && self.grazing_limit > 0.73 {
-            return 0.0;
-        }
         let theta = cosine.clamp(0.0, 1.0).acos();
         (theta - self.grazing_limit) / (std::f32::consts::FRAC_PI_2 - self.grazing_limit).max(1e-6)
     }
@@ -128,76 +101,54 @@ impl Sensor {
     /// The depth image that the sensor delivers (metres, `0` = missing).
     pub(crate) fn depth(&self, clean: &Clean, camera: &Camera, seed: u64, index: usize) -> Image<f32> {
         let (w, h) = (camera.width, camera.height);
-        let range = self.edge_ranges(clean, w, h);
+        let [near, far] = self.edge_ranges(clean, w, h);
+        let reader = Reader {
+            sensor: self,
+            clean,
+            range: [&near, &far],
+            size: [w, h],
+            slanted: self.grazing_limit.cos(),
+            levels: normal_levels(),
+        };
+        let field = (self.correlated > 0.0).then(|| Field::new(self.correlation, seed, index));
         let mut out = vec![0.0f32; w * h];
         out.par_chunks_mut(w.max(1)).enumerate().for_each(|(y, row)| {
-            let mut rng = Draw::new(stream(seed, index as u64, y as u64));
+            let seed = stream(seed, index as u64, y as u64);
             for (x, pixel) in row.iter_mut().enumerate() {
-                *pixel = self.read(clean, &range, [x, y], [w, h], &mut rng);
+                let shared = field.as_ref().map_or(0.0, |f| f.at(x, y));
+                // One counter a pixel: the values don't depend on what happens elsewhere.
+                *pixel = reader.read([x, y], shared, mix(seed.wrapping_add(x as u64)));
             }
         });
         self.punch_holes(&mut out, w, h, seed, index);
         Image::from_vec(w, h, out).unwrap_or_default()
     }
 
-    /// One pixel's depth. Draws the same number of random values whatever happens, which keeps rows comparable
-    /// between settings.
-    fn read(
-        &self,
-        clean: &Clean,
-        range: &[(f32, f32)],
-        at: [usize; 2],
-        size: [usize; 2],
-        rng: &mut Draw,
-    ) -> f32 {
-        let [across, down] = [rng.rough_normal(), rng.rough_normal()];
-        let noise = rng.normal();
-        let [[keep_edge, keep_slant], [fly, between]] = [rng.units(), rng.units()];
-        // A negative value is cast to zero.
-        let moved =
-            |v: usize, by: f32, limit: usize| ((v as f32 + self.lateral * by + 0.5) as usize).min(limit - 1);
-        let i = moved(at[1], down, size[1]) * size[0] + moved(at[0], across, size[0]);
-        let (near, far) = range[at[1] * size[0] + at[0]];
-        let on_edge = far - near > self.edge_step;
-        if on_edge && keep_edge < self.edge_dropout {
-            return 0.0;
-        }
-        let (mut z, cosine) = (clean.depth[i], clean.cosine[i]);
-        if keep_slant < self.grazing_loss(cosine) {
-            return 0.0;
-        }
-        if on_edge && far.is_finite() && fly < self.flying {
-            z = near + (far - near) * between;
-        }
-        z += noise * self.depth_sigma(z, cosine);
-        if self.quantum > 0.0 {
-            // Depth is positive and small: a cast rounds it without a call.
-            z = (z / self.quantum + 0.5) as i32 as f32 * self.quantum;
-        }
-        if z.is_finite() && z > 0.0 && z <= self.max_range { z } else { 0.0 }
-    }
-
     /// Smallest and largest depth within `edge_radius` of every pixel.
-    fn edge_ranges(&self, clean: &Clean, w: usize, h: usize) -> Vec<(f32, f32)> {
+    fn edge_ranges(&self, clean: &Clean, w: usize, h: usize) -> [Vec<f32>; 2] {
         let r = self.edge_radius;
-        let join = |a: (f32, f32), b: (f32, f32)| (a.0.min(b.0), a.1.max(b.1));
-        let empty = (f32::INFINITY, f32::NEG_INFINITY);
-        let mut across = vec![empty; w * h];
-        across.par_chunks_mut(w.max(1)).enumerate().for_each(|(y, row)| {
-            let z = &clean.depth[y * w..(y + 1) * w];
-            for (x, out) in row.iter_mut().enumerate() {
-                let window = &z[x.saturating_sub(r)..(x + r + 1).min(w)];
-                *out = window.iter().fold(empty, |m, &v| join(m, (v, v)));
-            }
-        });
-        let mut both = vec![empty; w * h];
-        both.par_chunks_mut(w.max(1)).enumerate().for_each(|(y, row)| {
-            for v in y.saturating_sub(r)..(y + r + 1).min(h) {
-                for (x, out) in row.iter_mut().enumerate() {
-                    *out = join(*out, across[v * w + x]);
+        let mut across = [vec![f32::INFINITY; w * h], vec![f32::NEG_INFINITY; w * h]];
+        let [near, far] = &mut across;
+        near.par_chunks_mut(w.max(1))
+            .zip(far.par_chunks_mut(w.max(1)))
+            .zip(clean.depth.par_chunks(w.max(1)))
+            .for_each(|((near, far), z)| {
+                near.copy_from_slice(z);
+                far.copy_from_slice(z);
+                for step in 1..=r.min(w.saturating_sub(1)) {
+                    widen(&mut near[step..], &mut far[step..], &z[..w - step], &z[..w - step]);
+                    widen(&mut near[..w - step], &mut far[..w - step], &z[step..], &z[step..]);
                 }
-            }
-        });
+            });
+        let mut both = across.clone();
+        let [near, far] = &mut both;
+        near.par_chunks_mut(w.max(1)).zip(far.par_chunks_mut(w.max(1))).enumerate().for_each(
+            |(y, (near, far))| {
+                for v in y.saturating_sub(r)..(y + r + 1).min(h) {
+                    widen(near, far, &across[0][v * w..(v + 1) * w], &across[1][v * w..(v + 1) * w]);
+                }
+            },
+        );
         both
     }
 
@@ -205,14 +156,15 @@ impl Sensor {
         if self.hole_share <= 0.0 || self.hole_radius <= 0.0 || w == 0 || h == 0 {
             return;
         }
-        let mut rng = Draw::new(stream(seed, index as u64, u64::MAX));
+        let seed = stream(seed, index as u64, u64::MAX);
         // Radii are even between 30 % and 100 % of the largest: the mean of their squares is 0.463 of its square.
         let area = std::f32::consts::PI * 0.463 * self.hole_radius * self.hole_radius;
-        let count = self.hole_share * (w * h) as f32 / area;
-        let count = count as usize + usize::from(rng.unit() < count.fract());
-        for _ in 0..count {
-            let (cx, cy) = (rng.unit() * w as f32, rng.unit() * h as f32);
-            let r = self.hole_radius * (0.3 + 0.7 * rng.unit());
+        let count = (self.hole_share * (w * h) as f32 / area).min((w * h) as f32);
+        let count = count as u64 + u64::from(unit(mix(seed), 0) < count.fract());
+        for hole in 1..=count {
+            let random = mix(seed.wrapping_add(hole));
+            let (cx, cy) = (unit(random, 0) * w as f32, unit(random, 16) * h as f32);
+            let r = self.hole_radius * (0.3 + 0.7 * unit(random, 32));
             let span = |c: f32, limit: usize| {
                 (c - r).ceil().max(0.0) as usize..((c + r).floor().max(-1.0) + 1.0).min(limit as f32) as usize
             };
@@ -236,18 +188,15 @@ impl Sensor {
     ) -> Image<[u8; 3]> {
         let w = camera.width;
         let gain = 255.0 * self.gain(index);
+        let levels = normal_levels();
         let mut out = vec![[0u8; 3]; color.len()];
         out.par_chunks_mut(w.max(1)).enumerate().for_each(|(y, row)| {
-            let mut rng = Draw::new(stream(seed ^ 0xc0_10, index as u64, y as u64));
-            for (x, pixel) in row.iter_mut().enumerate() {
-                let noise = if self.color_noise > 0.0 {
-                    std::array::from_fn(|_| rng.rough_normal())
-                } else {
-                    [0.0; 3]
-                };
+            let seed = stream(seed ^ 0xc0_10, index as u64, y as u64);
+            for (x, (pixel, c)) in row.iter_mut().zip(&color[y * w..]).enumerate() {
+                let random = mix(seed.wrapping_add(x as u64));
                 *pixel = std::array::from_fn(|k| {
-                    let v = color[y * w + x][k] * gain + self.color_noise * noise[k];
-                    (v + 0.5) as u8
+                    let noise = self.color_noise * normal(levels, random, 16 * k as u32);
+                    (c[k] * gain + noise + 0.5) as u8
                 });
             }
         });
@@ -255,37 +204,100 @@ impl Sensor {
     }
 }
 
-/// Random values of one row.
-struct Draw(Pcg64Mcg);
+/// Takes `low` and `high` into the ranges `near` to `far`.
+fn widen(near: &mut [f32], far: &mut [f32], low: &[f32], high: &[f32]) {
+    for (a, &b) in near.iter_mut().zip(low) {
+        *a = if b < *a { b } else { *a };
+    }
+    for (a, &b) in far.iter_mut().zip(high) {
+        *a = if b > *a { b } else { *a };
+    }
+}
 
-impl Draw {
-    fn new(seed: u128) -> Self {
-        Self(Pcg64Mcg::new(seed))
+/// Reads single pixels of one frame's depth.
+struct Reader<'a> {
+    sensor: &'a Sensor,
+    clean: &'a Clean,
+    /// Smallest and largest depth around every pixel.
+    range: [&'a [f32]; 2],
+    size: [usize; 2],
+    /// Below this cosine depth begins to be missing.
+    slanted: f32,
+    levels: &'static [f32; 4096],
+}
+
+impl Reader<'_> {
+    /// The depth of pixel `at`; `shared` is the unit noise it has in common with its neighbours.
+    #[inline]
+    fn read(&self, at: [usize; 2], shared: f32, random: u64) -> f32 {
+        let (s, [w, h]) = (self.sensor, self.size);
+        // A negative value is cast to zero.
+        let moved = |v: usize, shift: u32, limit: usize| {
+            ((v as f32 + s.lateral * normal(self.levels, random, shift) + 0.5) as usize).min(limit - 1)
+        };
+        let i = moved(at[1], 12, h) * w + moved(at[0], 24, w);
+        let (near, far) = (self.range[0][at[1] * w + at[0]], self.range[1][at[1] * w + at[0]]);
+        let (mut z, cosine) = (self.clean.depth[i], self.clean.cosine[i]);
+        let on_edge = far - near > s.edge_step;
+        if on_edge || cosine < self.slanted {
+            let more = mix(random);
+            if on_edge && unit(more, 0) < s.edge_dropout {
+                return 0.0;
+            }
+            if cosine < self.slanted && unit(more, 16) < s.grazing_loss(cosine) {
+                return 0.0;
+            }
+            if on_edge && far.is_finite() && unit(more, 32) < s.flying {
+                z = near + (far - near) * unit(more, 48);
+            }
+        }
+        let [red, green, blue] = self.clean.color[i];
+        let bright = 0.3 * red + 0.6 * green + 0.1 * blue;
+        if bright > s.glare {
+            return 0.0;
+        }
+        z += normal(self.levels, random, 0) * s.sigma(z, cosine, bright) + shared * s.correlated * z * z;
+        if s.wiggle[0] != 0.0 {
+            z += s.wiggle[0] * (std::f32::consts::TAU * z / s.wiggle[1]).sin();
+        }
+        if s.disparity_quantum > 0.0 && z > 0.0 {
+            let steps = (1.0 / (z * s.disparity_quantum) + 0.5) as i32 as f32;
+            z = 1.0 / (steps * s.disparity_quantum);
+        }
+        if s.quantum > 0.0 {
+            // Depth is positive and small: a cast rounds it without a call.
+            z = (z / s.quantum + 0.5) as i32 as f32 * s.quantum;
+        }
+        if z.is_finite() && z > 0.0 && z <= s.max_range { z } else { 0.0 }
+    }
+}
+
+/// Smooth noise of unit variance over the image, new in every frame: normal values on a square grid, blended.
+struct Field {
+    cell: f32,
+    seed: u32,
+    levels: &'static [f32; 4096],
+}
+
+impl Field {
+    fn new(cell: f32, seed: u64, index: usize) -> Self {
+        let seed = stream(seed ^ 0xf1e1d, index as u64, 0) as u32;
+        Self { cell: cell.max(1.0), seed, levels: normal_levels() }
     }
 
-    /// Even in `[0, 1)`.
-    fn unit(&mut self) -> f32 {
-        (self.0.next_u64() >> 40) as f32 / 16_777_216.0
-    }
-
-    /// Two values of one draw, even in `[0, 1)`.
-    fn units(&mut self) -> [f32; 2] {
-        let v = self.0.next_u64();
-        [v >> 40, v >> 8 & 0xff_ffff].map(|b| b as f32 / 16_777_216.0)
-    }
-
-    /// A standard normal value (Box and Muller 1958, of whose pair every other one is used).
-    fn normal(&mut self) -> f32 {
-        let [a, b] = self.units();
-        (-2.0 * (1.0 - a).ln()).sqrt() * (std::f32::consts::TAU * b).cos()
-    }
-
-    /// Nearly normal, unit variance: the sum of four even values. Good enough for colours, which are rounded.
-    fn rough_normal(&mut self) -> f32 {
-        const ROOT_3: f32 = 1.732_050_8;
-        let v = self.0.next_u64();
-        let sum: u64 = (0..4).map(|i| v >> (16 * i) & 0xffff).sum();
-        // Four even values on [0, 1) have variance 1/3.
-        (sum as f32 / 65_536.0 - 2.0) * ROOT_3
+    fn at(&self, x: usize, y: usize) -> f32 {
+        let (u, v) = (x as f32 / self.cell, y as f32 / self.cell);
+        let (i, j) = (u as i32, v as i32);
+        let ease = |t: f32| t * t * (3.0 - 2.0 * t);
+        let (s, t) = (ease(u - i as f32), ease(v - j as f32));
+        let (mut sum, mut power) = (0.0, 0.0);
+        for (dx, dy, weight) in
+            [(0, 0, (1.0 - s) * (1.0 - t)), (1, 0, s * (1.0 - t)), (0, 1, (1.0 - s) * t), (1, 1, s * t)]
+        {
+            sum += weight * normal(self.levels, u64::from(lattice(i + dx, j + dy, 0, self.seed)), 4);
+            power += weight * weight;
+        }
+        // A blend of independent values varies less than one of them.
+        sum / power.sqrt()
     }
 }

@@ -1,18 +1,21 @@
 //! A sequence: what is in it, and rendering its frames.
 
+use crate::backdrop::Behind;
 use crate::scene::{self, Body, Camera, Clean};
-use crate::{Backdrop, Error, Hand, Light, Motion, Object, Sensor};
+use crate::{Backdrop, Error, Hand, Light, MaskFaults, Motion, Object, Sensor};
 use marching_cubes::TriMesh;
-use nalgebra::Isometry3;
+use nalgebra::{Isometry3, Point3};
 use rgbd_io::{FrameSource, Image, Intrinsics, Mask, RgbdFrame};
 use std::sync::{Arc, OnceLock};
 
 const OBJECT: u8 = 1;
 const OCCLUDER: u8 = 2;
-/// Exposures that are averaged for motion blur.
-const EXPOSURES: usize = 5;
+/// Most exposures that are averaged for motion blur; odd, so that one falls on the frame's own time.
+const MOST_EXPOSURES: usize = 9;
+/// Pixels that the fastest point may move between two exposures, unless that takes more than the most.
+const SMEAR: f64 = 2.0;
 
-/// For which frames [`RgbdFrame::mask`] is filled with the true visible mask.
+/// For which frames [`RgbdFrame::mask`] is filled.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
 pub enum Masks {
     /// No frame.
@@ -34,7 +37,7 @@ pub enum Occluder {
     Rigid {
         /// The body.
         object: Arc<Object>,
-        /// Its `cam_from_body`.
+        /// Its `world_from_body`.
         motion: Motion,
     },
 }
@@ -56,8 +59,11 @@ pub struct SequenceSpec {
     pub seed: u64,
     /// The object to track.
     pub object: Arc<Object>,
-    /// The object's `cam_from_obj`.
+    /// The object's `world_from_obj`: its `cam_from_obj` while the camera stands still.
     pub motion: Motion,
+    /// The camera's `cam_from_world` if it moves; `None` makes the camera's frame the world's. Backdrop, light and
+    /// rigid occluders are fixed in the world.
+    pub camera: Option<Motion>,
     /// What hides it.
     pub occluders: Vec<Occluder>,
     /// What stands behind it.
@@ -68,12 +74,14 @@ pub struct SequenceSpec {
     pub sensor: Sensor,
     /// Which frames come with a mask.
     pub masks: Masks,
+    /// What is wrong with the masks of the frames after the first.
+    pub mask_faults: MaskFaults,
 }
 
 /// One rendered frame with its truth.
 #[derive(Clone, Debug)]
 pub struct SynthFrame {
-    /// What the sensor delivers. Its mask follows [`SequenceSpec::masks`].
+    /// What the sensor delivers. Its mask follows [`SequenceSpec::masks`] and [`SequenceSpec::mask_faults`].
     pub frame: RgbdFrame,
     /// Pixels whose centre sees the object: `255`, all others `0`.
     pub visible_mask: Mask,
@@ -138,6 +146,12 @@ impl Sequence {
         Self::from_spec(SequenceSpec { sensor, ..self.0.spec.clone() })
     }
 
+    /// The same sequence with other random choices of the sensor and of the masks' faults.
+    #[must_use]
+    pub fn with_seed(&self, seed: u64) -> Self {
+        Self::from_spec(SequenceSpec { seed, ..self.0.spec.clone() })
+    }
+
     /// The first `frames` frames of the sequence.
     #[must_use]
     pub fn truncated(&self, frames: usize) -> Self {
@@ -171,7 +185,12 @@ impl Sequence {
 
     /// The true pose at frame `index`: maps the object's frame to the camera's.
     pub fn cam_from_obj(&self, index: usize) -> Isometry3<f64> {
-        self.0.spec.motion.at(index as f64)
+        self.pose(index as f64)
+    }
+
+    /// The camera's true `cam_from_world` at frame `index`; the identity unless the camera moves.
+    pub fn cam_from_world(&self, index: usize) -> Isometry3<f64> {
+        self.world(index as f64)
     }
 
     /// Renders frame `index`; the motion goes on beyond the last frame.
@@ -190,7 +209,7 @@ impl Sequence {
             id: self.0.ids.get(index).cloned().unwrap_or_else(|| format!("{index:06}")),
             color: spec.sensor.color(&clean.color, &camera, spec.seed, index),
             depth: spec.sensor.depth(&clean, &camera, spec.seed, index),
-            mask: mask.then(|| visible_mask.clone()),
+            mask: mask.then(|| spec.mask_faults.apply(&visible_mask, spec.seed, index)),
             intrinsics: spec.intrinsics,
         };
         let mut true_depth = clean.depth;
@@ -224,32 +243,97 @@ impl Sequence {
         Camera { k: spec.intrinsics, width: spec.width, height: spec.height }
     }
 
-    fn clean(&self, index: usize) -> Clean {
+    fn world(&self, time: f64) -> Isometry3<f64> {
+        self.0.spec.camera.as_ref().map_or_else(Isometry3::identity, |m| m.at(time))
+    }
+
+    fn pose(&self, time: f64) -> Isometry3<f64> {
+        self.world(time) * self.0.spec.motion.at(time)
+    }
+
+    /// The true visible mask of frame `index` (`255` = object) without the colours: what [`Sequence::render`] gives,
+    /// for a fraction of the time.
+    pub fn visible_mask(&self, index: usize) -> Mask {
         let spec = &self.0.spec;
         let camera = self.camera();
-        let backdrop = self.0.backdrop.get_or_init(|| scene::backdrop(&camera, &spec.backdrop, &spec.light));
+        let bodies = self.bodies(index as f64);
+        let hits: Vec<_> = bodies.iter().map(|b| scene::silhouette(&camera, b)).collect();
+        let Some((object, others)) = hits.split_first() else { return Mask::default() };
+        let behind = Behind::new(&spec.backdrop, camera, &self.cam_from_world(index));
+        Image::from_fn(spec.width, spec.height, |x, y| {
+            let seen = object.at(x, y).is_some_and(|(z, _)| {
+                z < behind.at(x, y) && others.iter().all(|o| o.at(x, y).is_none_or(|(near, _)| near >= z))
+            });
+            if seen { 255 } else { 0 }
+        })
+    }
+
+    fn clean(&self, index: usize) -> Clean {
+        let exposure = f64::from(self.0.spec.sensor.exposure);
         let time = index as f64;
-        let mut clean = scene::render(&camera, &self.bodies(time), &spec.light, backdrop);
-        if spec.sensor.exposure > 0.0 {
-            let mut sum = vec![[0.0f32; 3]; clean.color.len()];
-            for e in 0..EXPOSURES {
-                // The shutter's opening is centred on the frame's time, where depth and pose are true.
-                let share = (e as f64 + 0.5) / EXPOSURES as f64 - 0.5;
-                let bodies = self.bodies(time + share * f64::from(spec.sensor.exposure));
-                let color = scene::render_color(&camera, &bodies, &spec.light, backdrop);
-                for (s, c) in sum.iter_mut().zip(color) {
-                    *s = std::array::from_fn(|k| s[k] + c[k] / EXPOSURES as f32);
+        let mut clean = self.clean_at(time);
+        let count = self.exposures(time, exposure);
+        if count > 1 {
+            let share = 1.0 / count as f32;
+            clean.color.iter_mut().for_each(|c| *c = c.map(|v| v * share));
+            // The shutter's opening is centred on the frame's time, where depth and pose are true.
+            for e in (0..count).filter(|e| *e != count / 2) {
+                let moment = time + exposure * ((e as f64 + 0.5) / count as f64 - 0.5);
+                for (sum, c) in clean.color.iter_mut().zip(self.clean_at(moment).color) {
+                    *sum = std::array::from_fn(|k| sum[k] + share * c[k]);
                 }
             }
-            clean.color = sum;
         }
         clean
+    }
+
+    /// How many exposures make the blur of the object at `time` look smooth.
+    fn exposures(&self, time: f64, exposure: f64) -> usize {
+        if exposure.is_nan() || exposure <= 0.0 {
+            return 1;
+        }
+        let spec = &self.0.spec;
+        let ends = [-0.5, 0.5].map(|s| self.pose(time + s * exposure));
+        let (low, high) = spec.object.mesh().bounds().unwrap_or_default();
+        let moved = (0..8).filter_map(|corner| {
+            let p = Point3::from(std::array::from_fn::<f64, 3, _>(|k| {
+                f64::from(if corner >> k & 1 == 0 { low[k] } else { high[k] })
+            }));
+            let [a, b] = ends.map(|pose| spec.intrinsics.project((pose * p).coords.into()));
+            a.zip(b).map(|(a, b)| (a[0] - b[0]).hypot(a[1] - b[1]))
+        });
+        let steps = moved.fold(0.0, f64::max) / SMEAR;
+        // Odd. Other things move too: never fewer than three.
+        1 + 2 * (0.5 * steps).ceil().clamp(1.0, (MOST_EXPOSURES / 2) as f64) as usize
+    }
+
+    fn clean_at(&self, time: f64) -> Clean {
+        let spec = &self.0.spec;
+        let camera = self.camera();
+        let world = self.world(time);
+        let direction = world.rotation.cast() * nalgebra::Vector3::from(spec.light.direction);
+        let light = Light { direction: direction.into(), ..spec.light };
+        let bodies = self.bodies(time);
+        if spec.camera.is_some() {
+            let backdrop = scene::backdrop(&camera, &spec.backdrop, &world, &light, false);
+            return scene::render(&camera, &bodies, &light, &backdrop);
+        }
+        scene::render(&camera, &bodies, &light, self.still_backdrop())
+    }
+
+    /// What a camera that doesn't move sees behind the bodies; rendered once.
+    fn still_backdrop(&self) -> &Clean {
+        let spec = &self.0.spec;
+        self.0.backdrop.get_or_init(|| {
+            scene::backdrop(&self.camera(), &spec.backdrop, &Isometry3::identity(), &spec.light, true)
+        })
     }
 
     /// The object, then everything that can hide it.
     fn bodies(&self, time: f64) -> Vec<Body<'_>> {
         let spec = &self.0.spec;
-        let cam_from_obj = spec.motion.at(time);
+        let cam_from_world = self.world(time);
+        let cam_from_obj = cam_from_world * spec.motion.at(time);
         let mut bodies = vec![Body { object: &spec.object, cam_from_body: cam_from_obj, label: OBJECT }];
         for occluder in &spec.occluders {
             match occluder {
@@ -259,7 +343,8 @@ impl Sequence {
                     }
                 }
                 Occluder::Rigid { object, motion } => {
-                    bodies.push(Body { object, cam_from_body: motion.at(time), label: OCCLUDER });
+                    let cam_from_body = cam_from_world * motion.at(time);
+                    bodies.push(Body { object, cam_from_body, label: OCCLUDER });
                 }
             }
         }

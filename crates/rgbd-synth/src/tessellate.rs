@@ -59,3 +59,22 @@ pub(crate) fn cuboid(half: [f32; 3]) -> TriMesh {
     }
     mesh
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn bodies_are_counter_clockwise_from_outside() {
+        for mesh in [rounded_cone(0.1, 0.02, 0.01), cuboid([0.1, 0.2, 0.3])] {
+            assert!(mesh.signed_volume() > 0.0);
+            for t in &mesh.triangles {
+                let [a, b, c] = t.map(|v| nalgebra::Vector3::from(mesh.vertices[v as usize]));
+                let flat = (b - a).cross(&(c - a));
+                let outwards: nalgebra::Vector3<f32> =
+                    t.iter().map(|&v| nalgebra::Vector3::from(mesh.normals[v as usize])).sum();
+                assert!(flat.norm() < 1e-10 || flat.dot(&outwards) > 0.0);
+            }
+        }
+    }
+}

@@ -5,8 +5,8 @@ use marching_cubes::TriMesh;
 use nalgebra::{Isometry3, Point3, Vector3};
 use rgbd_io::{CustomFolder, CustomOptions, FrameSource, Intrinsics};
 use rgbd_synth::{
-    Backdrop, Error, Light, Masks, Motion, Object, Occluder, Plane, Sensor, Sequence, SequenceSpec, Shape,
-    Texture, write_custom,
+    Backdrop, Error, Light, MaskFaults, Masks, Motion, Object, Occluder, Plane, Sensor, Sequence,
+    SequenceSpec, Shape, Texture, write_custom,
 };
 use std::sync::Arc;
 
@@ -22,11 +22,13 @@ fn scene(object: Object, cam_from_obj: Isometry3<f64>) -> SequenceSpec {
         seed: 1,
         object: Arc::new(object),
         motion: Motion::still(cam_from_obj),
+        camera: None,
         occluders: Vec::new(),
         backdrop: Backdrop::default(),
         light: Light::default(),
         sensor: Sensor::perfect(),
         masks: Masks::Every,
+        mask_faults: MaskFaults::none(),
     }
 }
 

@@ -56,12 +56,18 @@ impl Tracker {
     }
 
     pub(super) fn start_round(&mut self) {
-        let config =
-            FieldConfig { steps: self.config.field.steps, seed: self.config.seed, ..FieldConfig::realtime() };
-        self.submit(config);
+        self.submit(self.config.field.steps);
     }
 
-    fn submit(&mut self, config: FieldConfig) {
+    fn submit(&mut self, steps: usize) {
+        let settings = &self.config.field;
+        let config = FieldConfig {
+            steps,
+            seed: self.config.seed,
+            max_translation: settings.max_translation,
+            max_rotation_deg: settings.max_rotation_deg,
+            ..FieldConfig::realtime()
+        };
         let frames = self
             .pool
             .keyframes()
@@ -111,12 +117,7 @@ impl Tracker {
         self.take_field_reply(true);
         if self.worker.is_some() && !self.pool.keyframes().is_empty() {
             let online = self.summary.clone();
-            let config = FieldConfig {
-                steps: self.config.field.final_steps,
-                seed: self.config.seed,
-                ..FieldConfig::realtime()
-            };
-            self.submit(config);
+            self.submit(self.config.field.final_steps);
             self.take_field_reply(true);
             // The last round has its own length: it would distort the median of the online ones.
             let failures = std::mem::take(&mut self.summary.failures);
