@@ -34,6 +34,9 @@
 //! pixels are compared, and [`ransac`] takes points that are already in the object frame under the current poses, so
 //! that its gates act on the *residual* motion, whatever the distance to the camera. "No features", "no matches" and
 //! "no model" are ordinary results, never errors: a plain white cup is a legitimate object.
+//!
+//! Feature `learned` (on by default): `learned`, the networks EdgePoint2 and XFeat as matchers, for weights that the
+//! caller has.
 
 mod blur;
 pub mod corners;
@@ -42,6 +45,8 @@ mod descriptor;
 mod fill;
 pub mod gray;
 pub mod klt;
+#[cfg(feature = "learned")]
+pub mod learned;
 pub mod matching;
 pub mod ransac;
 pub mod scale_space;
@@ -50,7 +55,7 @@ pub use corners::{CornerOptions, detect_corners, detect_new_corners};
 pub use crop::{CropOptions, RollCrop, roll_between};
 pub use gray::{Pyramid, Rect, to_gray, to_gray_rect};
 pub use klt::{KltOptions, Track, track, track_forward_backward};
-pub use matching::{FeatureMatcher, Features, Match};
+pub use matching::{Descriptors, FeatureMatcher, Features, Match};
 pub use ransac::{LiftedMatch, RansacOptions, RigidModel};
 pub use scale_space::{Orientation, ScaleSpaceMatcher, ScaleSpaceOptions};
 

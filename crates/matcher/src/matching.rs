@@ -9,10 +9,44 @@ pub struct Features {
     pub points: Vec<[f32; 2]>,
     /// Sizes (blur sigma), source pixels; one a point.
     pub scales: Vec<f32>,
-    /// `points.len() * descriptor_len` bytes; what they mean is the matcher's own business.
-    pub descriptors: Vec<u8>,
-    /// Bytes of a descriptor.
-    pub descriptor_len: usize,
+    /// One a point; what the numbers mean is the matcher's own business.
+    pub descriptors: Descriptors,
+}
+
+/// Descriptors of equal length, one after the other.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Descriptors {
+    /// Of `len` bytes each.
+    U8 {
+        /// Bytes of a descriptor.
+        len: usize,
+        /// All of them.
+        values: Vec<u8>,
+    },
+    /// Of `len` floats each.
+    F32 {
+        /// Floats of a descriptor.
+        len: usize,
+        /// All of them.
+        values: Vec<f32>,
+    },
+}
+
+impl Default for Descriptors {
+    fn default() -> Self {
+        Self::U8 { len: 0, values: Vec::new() }
+    }
+}
+
+impl Descriptors {
+    /// Number of descriptors.
+    pub fn count(&self) -> usize {
+        let (values, len) = match self {
+            Self::U8 { len, values } => (values.len(), *len),
+            Self::F32 { len, values } => (values.len(), *len),
+        };
+        values.checked_div(len).unwrap_or(0)
+    }
 }
 
 impl Features {
@@ -45,7 +79,8 @@ pub trait FeatureMatcher: Send + Sync {
     /// The features of a crop.
     fn detect(&self, crop: &RollCrop) -> Features;
 
-    /// Correspondences, at most one for each feature. Features of different matchers have none.
+    /// Correspondences, at most one for each feature. Features whose descriptors differ in kind or
+    /// length have none.
     fn match_features(&self, a: &Features, b: &Features) -> Vec<Match>;
 }
 
@@ -53,14 +88,19 @@ pub trait FeatureMatcher: Send + Sync {
 /// best (Lowe 2004, section 7.1). Confidence is `1 - ratio^2`. Descriptors are vectors of unsigned bytes of about equal
 /// length (norm); with a single candidate the second best is taken to be at a right angle.
 pub(crate) fn nearest_neighbours(a: &Features, b: &Features, max_ratio: f32) -> Vec<Match> {
-    let len = a.descriptor_len;
-    let whole = |f: &Features| f.descriptor_len == len && f.descriptors.len() == f.points.len() * len;
-    if len == 0 || a.is_empty() || b.is_empty() || !whole(a) || !whole(b) {
+    let (Descriptors::U8 { len, values: bytes_a }, Descriptors::U8 { len: len_b, values: bytes_b }) =
+        (&a.descriptors, &b.descriptors)
+    else {
+        return Vec::new();
+    };
+    let len = *len;
+    let whole = |f: &Features, bytes: &[u8]| bytes.len() == f.len() * len;
+    if len == 0 || len != *len_b || a.is_empty() || b.is_empty() || !whole(a, bytes_a) || !whole(b, bytes_b) {
         return Vec::new();
     }
     // 16-bit so that products are multiplied and added in pairs.
     let widen = |bytes: &[u8]| bytes.iter().map(|&v| i16::from(v)).collect::<Vec<i16>>();
-    let (da, db) = (widen(&a.descriptors), widen(&b.descriptors));
+    let (da, db) = (widen(bytes_a), widen(bytes_b));
     let norms = |d: &[i16]| d.chunks_exact(len).map(|v| dot(v, v)).collect::<Vec<i32>>();
     let (na, nb) = (norms(&da), norms(&db));
 
@@ -140,8 +180,7 @@ mod tests {
         Features {
             points: (0..descriptors.len()).map(|i| [i as f32, 0.0]).collect(),
             scales: vec![1.0; descriptors.len()],
-            descriptors: descriptors.concat(),
-            descriptor_len: 4,
+            descriptors: Descriptors::U8 { len: 4, values: descriptors.concat() },
         }
     }
 
@@ -163,9 +202,15 @@ mod tests {
         assert!(nearest_neighbours(&one, &features(&[[0, 200, 0, 0]]), 0.8).is_empty());
         assert!(nearest_neighbours(&one, &Features::default(), 0.8).is_empty());
         assert!(nearest_neighbours(&Features::default(), &one, 0.8).is_empty());
-        let foreign = Features { descriptor_len: 2, descriptors: vec![1, 2], ..one.clone() };
-        assert!(nearest_neighbours(&one, &foreign, 0.8).is_empty());
-        let broken = Features { descriptors: vec![1, 2], ..one.clone() };
-        assert!(nearest_neighbours(&one, &broken, 0.8).is_empty());
+        let foreign = [
+            Descriptors::U8 { len: 2, values: vec![1, 2] },
+            Descriptors::U8 { len: 4, values: vec![1, 2] },
+            Descriptors::F32 { len: 4, values: vec![1.0, 0.0, 0.0, 0.0] },
+        ];
+        for descriptors in foreign {
+            let other = Features { descriptors, ..one.clone() };
+            assert!(nearest_neighbours(&one, &other, 0.8).is_empty());
+            assert!(nearest_neighbours(&other, &one, 0.8).is_empty());
+        }
     }
 }

@@ -10,7 +10,7 @@ use crate::corners::erode;
 use crate::crop::RollCrop;
 use crate::descriptor::{Describer, LEN};
 use crate::fill::fill_background;
-use crate::matching::{FeatureMatcher, Features, Match, nearest_neighbours};
+use crate::matching::{Descriptors, FeatureMatcher, Features, Match, nearest_neighbours};
 use rgbd_io::{Image, Mask};
 
 /// Which way is up for a descriptor.
@@ -325,8 +325,8 @@ fn describe(
     keypoints: &[Keypoint],
     options: &ScaleSpaceOptions,
 ) -> Features {
-    let mut features = Features { descriptor_len: LEN, ..Features::default() };
-    features.descriptors.reserve(keypoints.len() * LEN);
+    let mut features = Features::default();
+    let mut values = Vec::with_capacity(keypoints.len() * LEN);
     let mut describer = Describer::new();
     let mut angles = vec![0.0];
     for k in keypoints {
@@ -336,11 +336,12 @@ fn describe(
         }
         let scale = (1_u32 << k.octave) as f32;
         for &angle in &angles {
-            if describer.describe(image, [k.x, k.y], k.sigma, angle, &mut features.descriptors) {
+            if describer.describe(image, [k.x, k.y], k.sigma, angle, &mut values) {
                 features.points.push(crop.to_image([k.x * scale, k.y * scale]));
                 features.scales.push(k.sigma * scale / crop.scale() as f32);
             }
         }
     }
+    features.descriptors = Descriptors::U8 { len: LEN, values };
     features
 }

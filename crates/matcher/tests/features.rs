@@ -130,7 +130,7 @@ fn features_lie_on_the_object_and_are_reproducible() {
     let crop = RollCrop::new(&gray, &mask, 0.4, &CropOptions::default()).unwrap();
     let features = matcher.detect(&crop);
     assert!(features.len() > 100, "{} features", features.len());
-    assert_eq!(features.descriptors.len(), features.len() * features.descriptor_len);
+    assert_eq!(features.descriptors.count(), features.len());
     assert_eq!(features.scales.len(), features.len());
     for p in &features.points {
         assert!(mask[((p[0] + 0.5) as usize, (p[1] + 0.5) as usize)] != 0, "{p:?} is background");
