@@ -1,5 +1,5 @@
 //! Trains a field on a painted sphere seen by 16 depth cameras whose poses are wrong by 1 cm and 5 degrees, and
-//! prints how far the surface and the poses are from the truth: `cargo run --release --example sphere`.
+//! prints how far the surface and the poses are from the truth: `cargo run --release --example train_sphere`.
 #![allow(clippy::print_stdout)]
 
 #[path = "../tests/scene/mod.rs"]
