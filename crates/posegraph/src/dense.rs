@@ -1,271 +1,260 @@
 //! Dense term: point-to-plane distances under re-projective association (eq. `L_p`).
 
-use nalgebra::Isometry3;
+use nalgebra::{Isometry3, Matrix6, Point3, Translation3, Vector3, Vector6};
 
-use crate::graph::DenseView;
-use crate::jacobian::{RowSums, huber, lift, plane_residual};
+use crate::cloud::{Cloud, Sample};
+use crate::jacobian::lift;
+use crate::lanes::{self, Block, LANES, Match};
 use crate::normal::NormalEquations;
 use crate::options::{Gates, SolveOptions};
 use crate::stats::{Extent, Residuals};
-use crate::transform::{Rigid, is_finite, widen};
+use crate::transform::{Rigid, widen};
 
-/// A source pixel of the dense term.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct Sample {
-    point: [f32; 3],
-    normal: [f32; 3],
-    /// Variance of its depth, square metres.
-    variance: f32,
-}
+/// An association stands while no sample has moved by more than this fraction of a pixel: nearest pixels are only
+/// that exact.
+const STILL: f32 = 0.1;
 
-/// At most `max_dense_per_edge` valid pixels, evenly spread over all valid pixels of the view.
-pub(crate) fn sample_pixels(view: &DenseView, options: &SolveOptions) -> Vec<Sample> {
-    let valid = |(k, (p, n)): (usize, (&[f32; 3], &[f32; 3]))| {
-        let has_normal = || is_finite(n) && (n[0] * n[0] + n[1] * n[1] + n[2] * n[2]) > 0.25;
-        (p[2] > 0.0 && has_normal() && is_finite(p)).then_some(k)
-    };
-    let all: Vec<usize> = view.points.iter().zip(&view.normals).enumerate().filter_map(valid).collect();
-    let count = all.len().min(options.max_dense_per_edge);
-    let sample = |k: usize| {
-        // Centre of the k-th of `count` equal stretches.
-        let pixel = all[(2 * k + 1) * all.len() / (2 * count)];
-        let point = view.points[pixel];
-        let variance = options.depth_variance(f64::from(point[2])) as f32;
-        Sample { point, normal: view.normals[pixel], variance }
-    };
-    (0..count).map(sample).collect()
-}
-
-#[derive(Debug, Clone, Copy)]
-struct Match {
-    source: [f32; 3],
-    target: [f32; 3],
-    normal: [f32; 3],
-    /// 1 / variance of the two depths.
-    weight: f32,
-}
+/// Samples of an edge that are matched, about, while the gates are still wide: poses are then too rough for more to
+/// pay, and the search is widest.
+const COARSE: usize = 200;
 
 /// One dense edge and its current association.
 #[derive(Debug)]
-pub(crate) struct DenseTerm<'a> {
+pub(crate) struct DenseTerm {
     pub(crate) edge: usize,
     pub(crate) source: usize,
     pub(crate) target: usize,
-    target_view: Target<'a>,
-    matches: Vec<Match>,
+    /// Matches; source points relative to `source_centre`, target points relative to `target_centre`.
+    blocks: Vec<Block>,
+    count: usize,
+    /// Sample and pixel of each match.
+    pairs: Vec<(u32, u32)>,
+    source_centre: [f32; 3],
+    target_centre: [f32; 3],
+    /// Where and with which gates the association was made.
+    associated: Option<(Isometry3<f64>, Gates)>,
     scale: f64,
     delta: f64,
 }
 
-impl<'a> DenseTerm<'a> {
-    pub(crate) fn new(
-        edge: usize,
-        (source, target): (usize, usize),
-        (source_view, target_view): (&'a DenseView, &'a DenseView),
-        options: &SolveOptions,
-    ) -> Self {
-        let matches = Vec::with_capacity(options.max_dense_per_edge.min(source_view.points.len()));
-        let delta = options.dense_huber;
-        Self { edge, source, target, target_view: Target::new(target_view), matches, scale: 0.0, delta }
+/// What a dense edge adds to the normal equations: the blocks of its nodes are `h`, `h` and `-h`, the gradients `g`
+/// (target) and `-g` (source).
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct DenseBlocks {
+    h: Matrix6<f64>,
+    g: Vector6<f64>,
+    cost: f64,
+}
+
+impl DenseTerm {
+    pub(crate) fn new(edge: usize, (source, target): (usize, usize), options: &SolveOptions) -> Self {
+        Self {
+            edge,
+            source,
+            target,
+            blocks: Vec::new(),
+            count: 0,
+            pairs: Vec::new(),
+            source_centre: [0.0; 3],
+            target_centre: [0.0; 3],
+            associated: None,
+            scale: 0.0,
+            delta: options.dense_huber,
+        }
     }
 
-    /// Re-associates the sampled source pixels at the given poses.
+    /// Re-associates the sampled source pixels at the given poses. If they have hardly moved since, matches only have
+    /// to pass the new gates.
     pub(crate) fn associate(
         &mut self,
         poses: &[Isometry3<f64>],
-        samples: &[Sample],
+        clouds: (&Cloud<'_>, &Cloud<'_>),
         gates: &Gates,
         options: &SolveOptions,
     ) {
-        self.matches.clear();
         let target_from_source = poses[self.target].inv_mul(&poses[self.source]);
+        let still = self.is_still(&target_from_source, clouds.0);
+        match &mut self.associated {
+            Some((_, with)) if still && with == gates => return,
+            Some((_, with)) if still && gates.are_within(with) => {
+                *with = *gates;
+                self.filter(&target_from_source, clouds, gates, options);
+            }
+            _ => {
+                self.associated = Some((target_from_source, *gates));
+                self.search(&target_from_source, clouds, gates, options);
+            }
+        }
+        // A sample that stands for several has their weight.
+        let cap = options.dense_cap / (self.count as f64);
+        self.scale = options.dense_weight * cap.min(stride(clouds.0, gates) as f64);
+    }
+
+    /// Whether no sample has moved notably since the last search.
+    fn is_still(&self, target_from_source: &Isometry3<f64>, source: &Cloud<'_>) -> bool {
+        let Some((before, _)) = &self.associated else { return false };
+        let shift = Vector3::from(transform_point(target_from_source, source.centre))
+            - Vector3::from(transform_point(before, source.centre));
+        let angle = before.rotation.angle_to(&target_from_source.rotation);
+        shift.norm() + angle * f64::from(source.radius) <= f64::from(STILL * source.pixel_size)
+    }
+
+    /// Finds a match for every sample.
+    fn search(
+        &mut self,
+        target_from_source: &Isometry3<f64>,
+        (source, target): (&Cloud<'_>, &Cloud<'_>),
+        gates: &Gates,
+        options: &SolveOptions,
+    ) {
+        self.blocks.clear();
+        self.pairs.clear();
+        self.count = 0;
         if target_from_source.rotation.angle() > options.max_pair_rotation {
             return;
         }
-        let transform = Rigid::<f32>::new(&target_from_source);
-        for sample in samples {
-            let n = transform.direction(sample.normal);
-            let Some(best) = self.target_view.nearest_compatible(transform.point(sample.point), n, gates)
-            else {
-                continue;
-            };
-            let target = self.target_view.view.points[best];
-            let weight = 1.0 / (sample.variance + options.depth_variance(f64::from(target[2])) as f32);
-            if weight.is_finite() {
-                let normal = bisector(self.target_view.view.normals[best], n);
-                self.matches.push(Match { source: sample.point, target, normal, weight });
+        self.source_centre = source.centre;
+        self.target_centre = transform_point(target_from_source, source.centre).map(|x| x as f32);
+        let transform = Rigid::<f32>::new(target_from_source);
+        let stride = stride(source, gates);
+        for k in (stride / 2..source.samples.len()).step_by(stride) {
+            if let Some((pixel, m)) = find(&transform, (&source.samples[k], target), gates, options) {
+                self.push(&m);
+                self.pairs.push((k as u32, pixel));
             }
         }
-        let cap = options.dense_cap / (self.matches.len() as f64);
-        self.scale = options.dense_weight * cap.min(1.0);
     }
 
-    /// Calls `f(residual, row of the target in the target's camera frame, weight)` for every match.
-    #[inline(always)]
-    fn for_each(&self, poses: &[Isometry3<f64>], mut f: impl FnMut(f64, &[f64; 6], f64)) {
-        let transform = Rigid::<f64>::new(&poses[self.target].inv_mul(&poses[self.source]));
-        for m in &self.matches {
-            let (r, row) = plane_residual(widen(m.normal), widen(m.target), transform.point(m.source));
-            f(r, &row, f64::from(m.weight));
+    /// Searches again for the samples whose match does not pass the gates.
+    fn filter(
+        &mut self,
+        target_from_source: &Isometry3<f64>,
+        (source, target): (&Cloud<'_>, &Cloud<'_>),
+        gates: &Gates,
+        options: &SolveOptions,
+    ) {
+        let transform = Rigid::<f32>::new(target_from_source);
+        let before = std::mem::take(&mut self.blocks);
+        let pairs = std::mem::take(&mut self.pairs);
+        self.blocks.reserve(before.len());
+        self.pairs.reserve(pairs.len());
+        self.count = 0;
+        for (k, &(index, pixel)) in pairs.iter().enumerate() {
+            let sample = &source.samples[index as usize];
+            let (p, n) = (transform.point(sample.point), transform.direction(sample.normal));
+            if target.is_compatible(pixel as usize, p, n, gates) {
+                self.push_centred(&before[k / LANES].lane(k % LANES));
+                self.pairs.push((index, pixel));
+            } else if let Some((pixel, m)) = find(&transform, (sample, target), gates, options) {
+                self.push(&m);
+                self.pairs.push((index, pixel));
+            }
         }
+    }
+
+    /// Adds a match with points in their cameras' frames.
+    #[inline(always)]
+    fn push(&mut self, m: &Match) {
+        let (s, t) = (&self.source_centre, &self.target_centre);
+        self.push_centred(&Match {
+            source: [m.source[0] - s[0], m.source[1] - s[1], m.source[2] - s[2]],
+            target: [m.target[0] - t[0], m.target[1] - t[1], m.target[2] - t[2]],
+            ..*m
+        });
+    }
+
+    #[inline(always)]
+    fn push_centred(&mut self, m: &Match) {
+        if self.count.is_multiple_of(LANES) {
+            self.blocks.push(Block::default());
+        }
+        if let Some(block) = self.blocks.last_mut() {
+            block.set_lane(self.count % LANES, m);
+            self.count += 1;
+        }
+    }
+
+    /// Target from source, both relative to their centres.
+    fn centred(&self, poses: &[Isometry3<f64>]) -> Rigid<f32> {
+        let target_from_source = poses[self.target].inv_mul(&poses[self.source]);
+        let centre = transform_point(&target_from_source, self.source_centre);
+        let offset = Vector3::from(centre) - Vector3::from(widen(self.target_centre));
+        Rigid::<f32>::new(&Isometry3::from_parts(offset.into(), target_from_source.rotation))
     }
 
     pub(crate) fn cost(&self, poses: &[Isometry3<f64>]) -> f64 {
-        let mut sum = 0.0;
-        self.for_each(poses, |r, _, weight| sum += weight * huber(r.abs(), self.delta).0);
-        self.scale * sum
+        self.scale * lanes::cost(&self.blocks, &self.centred(poses), self.delta as f32)
     }
 
-    pub(crate) fn linearise(&self, poses: &[Isometry3<f64>], normal: &mut NormalEquations) -> f64 {
-        let mut sums = RowSums::default();
-        let mut cost = 0.0;
-        self.for_each(poses, |r, row, weight| {
-            let (rho, w) = huber(r.abs(), self.delta);
-            cost += weight * rho;
-            sums.add(row, self.scale * weight * w, r);
-        });
-        let (h, g) = sums.finish();
-        let lift = lift(&poses[self.target]);
-        let (h, g) = (lift * h * lift.transpose(), lift * g);
-        normal.add(self.target, &h, &g);
-        normal.add(self.source, &h, &-g);
+    pub(crate) fn linearise(&self, poses: &[Isometry3<f64>]) -> DenseBlocks {
+        let (h, g, cost) = lanes::linearise(&self.blocks, &self.centred(poses), self.delta as f32);
+        // Rows are about the target's centre: lift them from there.
+        let centre = Translation3::from(widen(self.target_centre));
+        let lift = lift(&(poses[self.target] * centre));
+        let h = lift * (h * self.scale) * lift.transpose();
+        DenseBlocks { h, g: lift * (g * self.scale), cost: self.scale * cost }
+    }
+
+    /// Adds the blocks of a linearisation and returns its cost.
+    pub(crate) fn add(&self, blocks: &DenseBlocks, normal: &mut NormalEquations) -> f64 {
+        let DenseBlocks { h, g, cost } = blocks;
+        normal.add(self.target, h, g);
+        normal.add(self.source, h, &-g);
         normal.add_cross(self.target, self.source, &-h);
-        self.scale * cost
+        *cost
     }
 
     pub(crate) fn residuals(&self, poses: &[Isometry3<f64>], all: &mut Residuals) -> usize {
         let mut inliers = 0;
-        self.for_each(poses, |r, _, weight| inliers += usize::from(all.add(r, self.delta, weight)));
+        lanes::for_each(&self.blocks, self.count, &self.centred(poses), |r, weight| {
+            inliers += usize::from(all.add(r, self.delta, weight));
+        });
         inliers
     }
 
     /// Adds the object-frame points if `node` takes part.
     pub(crate) fn extent(&self, node: usize, poses: &[Rigid], extent: &mut Extent) {
-        if node == self.source || node == self.target {
-            self.matches.iter().for_each(|m| extent.add(poses[self.source].point(m.source)));
+        if node != self.source && node != self.target {
+            return;
+        }
+        for k in 0..self.count {
+            let (block, lane) = (&self.blocks[k / LANES], k % LANES);
+            let point = std::array::from_fn(|c| block.source[c][lane] + self.source_centre[c]);
+            extent.add(poses[self.source].point(point));
         }
     }
 }
 
-/// Normal of the plane that a match is measured against: unit vector half way between two unit vectors that are less than a right angle apart.
+/// Every how many samples are matched.
+fn stride(source: &Cloud<'_>, gates: &Gates) -> usize {
+    if gates.last { 1 } else { (source.samples.len() / COARSE).max(1) }
+}
+
+/// The best match of a sample with the target view (its pixel, and the match in camera frames).
+#[inline(always)]
+fn find(
+    transform: &Rigid<f32>,
+    (sample, target): (&Sample, &Cloud<'_>),
+    gates: &Gates,
+    options: &SolveOptions,
+) -> Option<(u32, Match)> {
+    let n = transform.direction(sample.normal);
+    let best = target.nearest_compatible(transform.point(sample.point), n, gates)?;
+    let (&target, &normal) = target.pixel(best)?;
+    let weight = 1.0 / (sample.variance + options.depth_variance(f64::from(target[2])) as f32);
+    let m = Match { source: sample.point, target, normal: bisector(normal, n), weight };
+    weight.is_finite().then_some((best as u32, m))
+}
+
+fn transform_point(pose: &Isometry3<f64>, p: [f32; 3]) -> [f64; 3] {
+    pose.transform_point(&Point3::from(widen(p))).coords.into()
+}
+
+/// Normal of the plane that a match is measured against: unit vector half way between two unit vectors that are less
+/// than a right angle apart.
 #[inline(always)]
 fn bisector(a: [f32; 3], b: [f32; 3]) -> [f32; 3] {
     let s = [a[0] + b[0], a[1] + b[1], a[2] + b[2]];
     let inverse = 1.0 / (s[0] * s[0] + s[1] * s[1] + s[2] * s[2]).sqrt();
     [s[0] * inverse, s[1] * inverse, s[2] * inverse]
-}
-
-/// A target view with what its association needs precomputed.
-#[derive(Debug, Clone, Copy)]
-struct Target<'a> {
-    view: &'a DenseView,
-    fx: f32,
-    fy: f32,
-    cx: f32,
-    cy: f32,
-    /// Metres per pixel of offset and metre of depth that a ray at least keeps from a point.
-    reach: f32,
-}
-
-impl<'a> Target<'a> {
-    fn new(view: &'a DenseView) -> Self {
-        // The ray of a pixel `k` pixels from the projection of a point at depth z passes it at a distance of at
-        // least `k z / f` times the cosine of the ray's angle, which is smallest in a corner of the image.
-        let x = view.cx.abs().max((view.width as f64 - view.cx).abs()) / view.fx;
-        let y = view.cy.abs().max((view.height as f64 - view.cy).abs()) / view.fy;
-        let reach = 1.0 / ((1.0 + x * x + y * y).sqrt() * view.fx.max(view.fy));
-        let (fx, fy, cx, cy) = (view.fx as f32, view.fy as f32, view.cx as f32, view.cy as f32);
-        Self { view, fx, fy, cx, cy, reach: reach as f32 }
-    }
-
-    /// Pixel that minimises `distance / max_distance + (1 - n . n')` in a window around the projection of `p` (this
-    /// camera's frame), among those that pass both gates. Invalid pixels never pass: a zero or NaN normal fails the
-    /// angle gate, and a NaN point the distance gate.
-    ///
-    /// Goes outward ring by ring and stops when no farther pixel can score better: near convergence that is after
-    /// one or two rings, whatever the radius.
-    #[inline(always)]
-    fn nearest_compatible(&self, p: [f32; 3], n: [f32; 3], gates: &Gates) -> Option<usize> {
-        if p[2].is_nan() || p[2] <= 0.0 {
-            return None;
-        }
-        let inverse_depth = 1.0 / p[2];
-        let u = nearest_pixel(self.fx * p[0] * inverse_depth + self.cx);
-        let v = nearest_pixel(self.fy * p[1] * inverse_depth + self.cy);
-        let (width, height) = (self.view.width as i64, self.view.height as i64);
-        let radius = gates.radius.min(self.view.width.max(self.view.height)) as i64;
-        if u + radius < 0 || v + radius < 0 || u - radius >= width || v - radius >= height {
-            return None;
-        }
-        let mut search = Search {
-            target: self,
-            p,
-            n,
-            gates,
-            best: None,
-            max_squared: gates.max_distance * gates.max_distance,
-        };
-        for ring in 0..=radius {
-            let nearest = (ring as f32 - 0.5).max(0.0) * p[2] * self.reach;
-            if nearest * nearest > search.max_squared {
-                break;
-            }
-            for row in (v - ring).max(0)..=(v + ring).min(height - 1) {
-                let start = row as usize * self.view.width;
-                if (row - v).abs() == ring {
-                    for column in (u - ring).max(0)..=(u + ring).min(width - 1) {
-                        search.visit(start + column as usize);
-                    }
-                } else {
-                    for column in [u - ring, u + ring] {
-                        if column >= 0 && column < width {
-                            search.visit(start + column as usize);
-                        }
-                    }
-                }
-            }
-        }
-        search.best
-    }
-}
-
-/// Rounds to the nearest integer; NaN becomes 0 (no gate lets it pass).
-#[inline(always)]
-fn nearest_pixel(x: f32) -> i64 {
-    // Truncation after a shift to positive values: `round` is a library call on the baseline instruction set.
-    (f64::from(x.clamp(-1e6, 1e6)) + 1_000_000.5) as i64 - 1_000_000
-}
-
-/// State of one search.
-struct Search<'t, 'v> {
-    target: &'t Target<'v>,
-    p: [f32; 3],
-    n: [f32; 3],
-    gates: &'t Gates,
-    best: Option<usize>,
-    /// A candidate farther than this cannot score better than the best so far.
-    max_squared: f32,
-}
-
-impl Search<'_, '_> {
-    #[inline(always)]
-    fn visit(&mut self, pixel: usize) {
-        let (p, n) = (&self.p, &self.n);
-        let q = &self.target.view.points[pixel];
-        let d = [q[0] - p[0], q[1] - p[1], q[2] - p[2]];
-        let squared = d[0] * d[0] + d[1] * d[1] + d[2] * d[2];
-        if squared.is_nan() || squared > self.max_squared || q[2] <= 0.0 {
-            return;
-        }
-        let m = &self.target.view.normals[pixel];
-        let cosine = n[0] * m[0] + n[1] * m[1] + n[2] * m[2];
-        if cosine.is_nan() || cosine < self.gates.min_cosine {
-            return;
-        }
-        let distance = squared.sqrt() + self.gates.max_distance * (1.0 - cosine).max(0.0);
-        if self.best.is_none() || distance * distance < self.max_squared {
-            self.best = Some(pixel);
-            self.max_squared = self.max_squared.min(distance * distance);
-        }
-    }
 }

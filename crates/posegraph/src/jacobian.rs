@@ -25,8 +25,9 @@ pub(crate) fn direction_row(d: [f64; 3], x: [f64; 3]) -> [f64; 6] {
 }
 
 /// Point-to-plane residual `n . (q - p)` and the row of its *target* node, all in one common frame; the source
-/// node's row is the negative. `q`, `n`: point and normal of the target, `p`: transformed source point.
-#[inline(always)]
+/// node's row is the negative. `q`, `n`: point and normal of the target, `p`: transformed source point. The reference
+/// for the single-precision sums of the dense term.
+#[cfg(test)]
 pub(crate) fn plane_residual(n: [f64; 3], q: [f64; 3], p: [f64; 3]) -> (f64, [f64; 6]) {
     let r = n[0] * (q[0] - p[0]) + n[1] * (q[1] - p[1]) + n[2] * (q[2] - p[2]);
     (r, direction_row(n, p))
@@ -51,8 +52,8 @@ pub(crate) fn huber(e: f64, delta: f64) -> (f64, f64) {
 /// Weighted sums over scalar residuals with 6-vector rows: lower triangle of `J^T W J`, `J^T W r`.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct RowSums {
-    h: [f64; 21],
-    g: [f64; 6],
+    pub(crate) h: [f64; 21],
+    pub(crate) g: [f64; 6],
 }
 
 impl RowSums {
@@ -88,14 +89,14 @@ impl RowSums {
 /// Weighted moments of matched object-frame points: all that the blocks of a feature edge depend on.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct MatchSums {
-    w: f64,
-    x: [f64; 3],
-    y: [f64; 3],
-    xx: [f64; 6],
-    yy: [f64; 6],
-    xy: [f64; 9],
-    r: [f64; 3],
-    x_cross_r: [f64; 3],
+    pub(crate) w: f64,
+    pub(crate) x: [f64; 3],
+    pub(crate) y: [f64; 3],
+    pub(crate) xx: [f64; 6],
+    pub(crate) yy: [f64; 6],
+    pub(crate) xy: [f64; 9],
+    pub(crate) r: [f64; 3],
+    pub(crate) x_cross_r: [f64; 3],
 }
 
 /// The blocks of one feature edge: `H_ii, H_jj, H_ij` and the gradient of `i` (that of `j` is its negative).
@@ -107,8 +108,9 @@ pub(crate) struct MatchBlocks {
 }
 
 impl MatchSums {
-    /// Adds the match of `x` (node i) and `y` (node j), with weight `w`.
-    #[inline(always)]
+    /// Adds the match of `x` (node i) and `y` (node j), with weight `w`. The reference for the single-precision sums of
+    /// the feature term.
+    #[cfg(test)]
     pub(crate) fn add(&mut self, x: [f64; 3], y: [f64; 3], w: f64) {
         let wx = [w * x[0], w * x[1], w * x[2]];
         let wy = [w * y[0], w * y[1], w * y[2]];

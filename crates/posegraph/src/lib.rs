@@ -33,22 +33,36 @@
 //! *Fixed* means constant. A fixed node is not an unknown whose increment is thrown away afterwards: then its
 //! neighbours would be solved against a pose it does not have. It is not in the system at all, and comes back bit for
 //! bit. What remains (about ten poses) is small enough for a dense Cholesky factorisation, so the work is in summing
-//! 6x6 blocks: every term adds blocks and nothing else, and a sparse back end would replace one private module.
+//! 6x6 blocks: every term adds blocks and nothing else. Points are stored relative to centres near them and summed in
+//! single precision, eight at a time; totals, poses and the system are double.
 //!
 //! Residuals are divided by their standard deviation, and an edge's weights are capped in sum (see [`SolveOptions`]),
 //! so that the inverse Hessian is usable as a covariance. Results are deterministic.
+//!
+//! # Features
+//! - `sparse`: graphs of thousands of poses joined by relative-pose measurements (module `sparse`) and the g2o text
+//!   format (module `g2o`). The solver above does not need it.
+//! - `rayon`: dense edges on all cores. Edges are summed in order, so results do not change.
 
+mod cloud;
 mod dense;
 mod error;
 mod feature;
+#[cfg(feature = "sparse")]
+pub mod g2o;
 mod graph;
 mod jacobian;
+mod lanes;
+mod moments;
 mod normal;
 mod options;
+mod parallel;
 mod prior;
 mod problem;
 mod sdf;
 mod solve;
+#[cfg(feature = "sparse")]
+pub mod sparse;
 mod stats;
 mod transform;
 

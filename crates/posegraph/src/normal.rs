@@ -1,5 +1,4 @@
-//! The normal equations over the free nodes and their dense Cholesky solution. A sparse back end would replace this
-//! module: terms only ever add 6x6 blocks.
+//! The normal equations over the free nodes and their dense Cholesky solution. Terms only ever add 6x6 blocks.
 
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn, Matrix6, SymmetricEigen, Vector6};
 

@@ -110,6 +110,18 @@ pub(crate) struct Gates {
     pub(crate) radius: usize,
     pub(crate) max_distance: f32,
     pub(crate) min_cosine: f32,
+    /// Whether they have reached their last value.
+    pub(crate) last: bool,
+}
+
+impl Gates {
+    /// Whether all that passes these gates passes the others, and the same samples are asked for.
+    pub(crate) fn are_within(&self, other: &Self) -> bool {
+        self.last == other.last
+            && self.radius <= other.radius
+            && self.max_distance <= other.max_distance
+            && self.min_cosine >= other.min_cosine
+    }
 }
 
 impl SolveOptions {
@@ -126,6 +138,7 @@ impl SolveOptions {
                 as usize,
             max_distance: mix(self.max_distance_initial, self.max_distance) as f32,
             min_cosine: mix(self.max_normal_angle_initial, self.max_normal_angle).cos() as f32,
+            last: t >= 1.0,
         }
     }
 

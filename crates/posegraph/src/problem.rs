@@ -2,11 +2,13 @@
 
 use nalgebra::Isometry3;
 
-use crate::dense::{DenseTerm, Sample, sample_pixels};
+use crate::cloud::Cloud;
+use crate::dense::{DenseBlocks, DenseTerm};
 use crate::feature::FeatureTerm;
 use crate::graph::{PoseGraph, PosePrior};
 use crate::normal::NormalEquations;
 use crate::options::SolveOptions;
+use crate::parallel;
 use crate::prior;
 use crate::sdf::SdfUnary;
 use crate::stats::{Extent, Residuals};
@@ -14,11 +16,14 @@ use crate::transform::Rigid;
 
 pub(crate) struct Problem<'a> {
     features: Vec<FeatureTerm>,
-    dense: Vec<DenseTerm<'a>>,
+    dense: Vec<DenseTerm>,
+    /// Views of the nodes that have a dense edge.
+    clouds: Vec<Option<Cloud<'a>>>,
+    /// Results of the dense edges, in their order.
+    dense_blocks: Vec<DenseBlocks>,
+    dense_costs: Vec<f64>,
     sdf: Vec<SdfUnary<'a>>,
     priors: Vec<PosePrior>,
-    /// Sampled pixels of each node that is the source of a dense edge.
-    samples: Vec<Vec<Sample>>,
     rigid: Vec<Rigid>,
 }
 
@@ -45,32 +50,30 @@ impl<'a> Problem<'a> {
             }
         }
         let mut dense = Vec::new();
-        let mut samples = vec![Vec::new(); graph.nodes.len()];
+        let mut has_dense = vec![false; graph.nodes.len()];
         if options.dense_weight > 0.0 {
             for (index, edge) in graph.dense_edges.iter().enumerate() {
-                let (Some(source), Some(target)) = (graph.views[edge.source], graph.views[edge.target])
-                else {
-                    continue;
-                };
-                if !(free(edge.source) || free(edge.target)) {
-                    continue;
+                if free(edge.source) || free(edge.target) {
+                    has_dense[edge.source] = true;
+                    has_dense[edge.target] = true;
+                    dense.push(DenseTerm::new(index, (edge.source, edge.target), options));
                 }
-                if samples[edge.source].is_empty() {
-                    samples[edge.source] = sample_pixels(source, options);
-                }
-                let nodes = (edge.source, edge.target);
-                dense.push(DenseTerm::new(index, nodes, (source, target), options));
             }
         }
         // Edges that look up the same view follow each other: it stays in the cache.
-        dense.sort_by_key(|t: &DenseTerm<'_>| t.target);
+        dense.sort_by_key(|t: &DenseTerm| t.target);
+        let views: Vec<_> = graph.views.iter().zip(has_dense).map(|(&v, used)| v.filter(|_| used)).collect();
+        let mut clouds = Vec::new();
+        parallel::map_into(&views, &mut clouds, |view| view.map(|view| Cloud::new(view, options)));
         let with_sdf = graph.sdf_terms.iter().filter(|t| free(t.node) && options.sdf_weight > 0.0);
         Self {
             features,
+            dense_blocks: Vec::with_capacity(dense.len()),
+            dense_costs: Vec::with_capacity(dense.len()),
             dense,
+            clouds,
             sdf: with_sdf.map(|t| SdfUnary::new(t, options)).collect(),
             priors: graph.priors.iter().filter(|p| free(p.node)).copied().collect(),
-            samples,
             rigid: graph.nodes.iter().map(|n| Rigid::<f64>::new(&n.obj_from_cam)).collect(),
         }
     }
@@ -88,17 +91,21 @@ impl<'a> Problem<'a> {
     /// Fixes the dense correspondences for the steps that follow.
     pub(crate) fn associate(&mut self, poses: &[Isometry3<f64>], iteration: usize, options: &SolveOptions) {
         let gates = options.gates(iteration);
-        for term in &mut self.dense {
-            term.associate(poses, &self.samples[term.source], &gates, options);
-        }
+        let clouds = &self.clouds;
+        parallel::for_each_mut(&mut self.dense, |term| {
+            if let (Some(source), Some(target)) = (&clouds[term.source], &clouds[term.target]) {
+                term.associate(poses, (source, target), &gates, options);
+            }
+        });
     }
 
     /// Cost under the current correspondences.
     pub(crate) fn cost(&mut self, poses: &[Isometry3<f64>]) -> f64 {
         self.update_rigid(poses);
         let mut cost = 0.0;
-        cost += self.features.iter().map(|t| t.cost(&self.rigid)).sum::<f64>();
-        cost += self.dense.iter().map(|t| t.cost(poses)).sum::<f64>();
+        cost += self.features.iter().map(|t| t.cost(poses)).sum::<f64>();
+        parallel::map_into(&self.dense, &mut self.dense_costs, |t| t.cost(poses));
+        cost += self.dense_costs.iter().sum::<f64>();
         cost += self.sdf.iter_mut().map(|t| t.cost(poses)).sum::<f64>();
         cost += self.priors.iter().map(|p| prior::cost(p, poses)).sum::<f64>();
         cost
@@ -109,8 +116,9 @@ impl<'a> Problem<'a> {
         self.update_rigid(poses);
         normal.clear();
         let mut cost = 0.0;
-        cost += self.features.iter().map(|t| t.linearise(&self.rigid, normal)).sum::<f64>();
-        cost += self.dense.iter().map(|t| t.linearise(poses, normal)).sum::<f64>();
+        cost += self.features.iter().map(|t| t.linearise(poses, normal)).sum::<f64>();
+        parallel::map_into(&self.dense, &mut self.dense_blocks, |t| t.linearise(poses));
+        cost += self.dense.iter().zip(&self.dense_blocks).map(|(t, b)| t.add(b, normal)).sum::<f64>();
         cost += self.sdf.iter_mut().map(|t| t.linearise(poses, normal)).sum::<f64>();
         cost += self.priors.iter().map(|p| prior::linearise(p, poses, normal)).sum::<f64>();
         cost
@@ -124,7 +132,7 @@ impl<'a> Problem<'a> {
             ..Summary::default()
         };
         for t in &self.features {
-            s.feature_inliers[t.edge] = t.residuals(&self.rigid, &mut s.feature);
+            s.feature_inliers[t.edge] = t.residuals(poses, &mut s.feature);
         }
         for t in &self.dense {
             s.dense_inliers[t.edge] = t.residuals(poses, &mut s.dense);
@@ -139,7 +147,7 @@ impl<'a> Problem<'a> {
     pub(crate) fn extent(&mut self, node: usize, poses: &[Isometry3<f64>]) -> Extent {
         self.update_rigid(poses);
         let mut extent = Extent::default();
-        self.features.iter().for_each(|t| t.extent(node, &self.rigid, &mut extent));
+        self.features.iter().for_each(|t| t.extent(node, poses, &mut extent));
         self.dense.iter().for_each(|t| t.extent(node, &self.rigid, &mut extent));
         self.sdf.iter().for_each(|t| t.extent(node, &self.rigid, &mut extent));
         extent

@@ -7,8 +7,8 @@ use nalgebra::Isometry3;
 /// Rotation matrix (row-major) and translation, in `f64` for residuals or `f32` for searches.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Rigid<T = f64> {
-    r: [T; 9],
-    t: [T; 3],
+    pub(crate) r: [T; 9],
+    pub(crate) t: [T; 3],
 }
 
 impl Rigid<f64> {

@@ -120,3 +120,51 @@ fn holes_and_nan_in_views_are_ignored() {
     let (t, r) = error(&solution.poses[1], &truth[1]);
     assert!(t < 5e-4 && r < 0.2, "{t} {r}");
 }
+
+/// Coarse first iterations and the re-use of associations must not decide where the solve ends.
+#[test]
+fn faster_sums_and_searches_leave_the_optimum_where_it_is() {
+    let truth: Vec<_> = (0..4).map(|k| orbit(0.5, 0.25 * k as f64, 0.1 * k as f64)).collect();
+    let mut rng = rng(60);
+    let views: Vec<DenseView> = truth.iter().map(|t| render(bumpy, t, 120, 0.001, &mut rng)).collect();
+    let solve_from = |spread: f64, options: &SolveOptions| {
+        let mut rng = common::rng(7);
+        let mut graph = PoseGraph::new();
+        for (k, t) in truth.iter().enumerate() {
+            let start = if k == 0 { *t } else { disturb(&mut rng, t, 0.006 * spread, 3.0 * spread) };
+            graph.add_node(node(start, k == 0));
+            graph.set_view(k, &views[k]).unwrap();
+            (0..k).for_each(|o| graph.add_dense_edge(DenseEdge { source: o, target: k }).unwrap());
+        }
+        solve(&graph, options).unwrap()
+    };
+    // From far through coarse iterations, and from near with the last gates and all samples from the start.
+    let far = solve_from(1.0, &SolveOptions { max_iterations: 30, ..SolveOptions::default() });
+    let fine = SolveOptions { tighten_iterations: 0, max_iterations: 30, ..SolveOptions::default() };
+    let near = solve_from(0.1, &fine);
+    for (a, b) in far.poses.iter().zip(&near.poses) {
+        let (t, r) = error(a, b);
+        assert!(t < 2e-4 && r < 0.15, "{t} m, {r} deg");
+    }
+}
+
+/// However many threads there are, the bits are the same.
+#[cfg(feature = "rayon")]
+#[test]
+fn threads_do_not_change_the_result() {
+    let ball = |x: &nalgebra::Vector3<f64>| x.norm() - 0.1;
+    let truth: Vec<_> = (0..3).map(|k| orbit(0.5, 0.25 * k as f64, 0.0)).collect();
+    let mut rng = rng(64);
+    let views: Vec<DenseView> = truth.iter().map(|t| render(ball, t, 40, 0.0, &mut rng)).collect();
+    let mut graph = PoseGraph::new();
+    for (k, t) in truth.iter().enumerate() {
+        graph.add_node(node(disturb(&mut rng, t, 0.004, 2.0), k == 0));
+        graph.set_view(k, &views[k]).unwrap();
+        (0..k).for_each(|o| graph.add_dense_edge(DenseEdge { source: o, target: k }).unwrap());
+    }
+    let solve_on = |threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| solve(&graph, &SolveOptions::default()).unwrap())
+    };
+    assert_eq!(solve_on(1), solve_on(3));
+}
