@@ -28,6 +28,8 @@ pub(crate) struct FieldUpdate {
     pub(crate) poses: Vec<(usize, Isometry3<f64>)>,
     /// The trained field.
     pub(crate) field: Arc<TrainedField>,
+    /// Training steps of the round.
+    pub(crate) steps: usize,
     /// Time of the round.
     pub(crate) elapsed: Duration,
 }
@@ -121,5 +123,10 @@ fn round(request: &FieldRequest, stop: &AtomicBool) -> FieldReply {
             .map_err(|e| e.to_string())?;
     let refined =
         request.frames.iter().map(|(index, _, _)| *index).zip(trained.poses().iter().copied()).collect();
-    Ok(FieldUpdate { poses: refined, field: Arc::new(trained), elapsed: start.elapsed() })
+    Ok(FieldUpdate {
+        poses: refined,
+        field: Arc::new(trained),
+        steps: request.config.steps,
+        elapsed: start.elapsed(),
+    })
 }

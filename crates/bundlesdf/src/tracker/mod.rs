@@ -184,11 +184,8 @@ impl Tracker {
             times.matching = begin.elapsed();
             return self.lost(index, &frame.id);
         }
-        let coarse = self.coarse(&observation);
-        let (coarse, relocalised) = match coarse {
-            Some((coarse, relocalised)) => (Some(coarse), relocalised),
-            None => (None, false),
-        };
+        let (coarse, relocalised) =
+            self.coarse(&observation).map_or((None, false), |(c, far)| (Some(c), far));
         times.matching = begin.elapsed();
         let begin = Instant::now();
         let observation = self.clean_up(frame, masked, coarse.as_ref(), observation);
@@ -255,7 +252,7 @@ impl Tracker {
         }
     }
 
-    /// Pose graph over the new frame and memory, starting from the coarse pose or, without one, from the prediction.
+    /// Pose graph over the new frame and memory, starting from the coarse pose or, without one, from the last good one.
     fn optimise(&self, observation: &Observation, coarse: Option<CoarsePose>, relocalised: bool) -> Estimate {
         let fallback = self.reference.as_ref().map_or_else(Isometry3::identity, |r| r.pose);
         let guess = coarse.as_ref().map_or(fallback, |c| c.pose);

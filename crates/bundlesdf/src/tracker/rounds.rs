@@ -18,9 +18,9 @@ use crate::{
 pub struct FieldSummary {
     /// Rounds finished.
     pub rounds: usize,
-    /// Median time of an online round (milliseconds).
+    /// Median time of an online round (milliseconds); of the last one, if it was the only one.
     pub ms_per_round_median: f64,
-    /// Training steps of an online round.
+    /// Training steps of these rounds.
     pub steps: usize,
     /// Why rounds failed, if any did.
     #[serde(skip_serializing_if = "Vec::is_empty")]
@@ -107,7 +107,7 @@ impl Tracker {
         self.field = Some(update.field);
         self.surface = fused_surface(&self.pool);
         self.summary.rounds += 1;
-        self.summary.steps = self.config.field.steps;
+        self.summary.steps = update.steps;
         self.summary.times.push(update.elapsed.as_secs_f64() * 1e3);
         self.summary.ms_per_round_median = median(&self.summary.times);
     }
@@ -119,9 +119,11 @@ impl Tracker {
             let online = self.summary.clone();
             self.submit(self.config.field.final_steps);
             self.take_field_reply(true);
-            // The last round has its own length: it would distort the median of the online ones.
-            let failures = std::mem::take(&mut self.summary.failures);
-            self.summary = FieldSummary { rounds: self.summary.rounds, failures, ..online };
+            // The last round has its own length: among online ones it would distort their median.
+            if online.rounds > 0 {
+                self.summary.ms_per_round_median = online.ms_per_round_median;
+                self.summary.steps = online.steps;
+            }
         }
         self.stop()
     }
