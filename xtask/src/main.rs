@@ -1,4 +1,4 @@
-//! The project's own commands: `cargo xtask eval` scores the system on real sequences, `cargo xtask tidy` checks
+//! The project's own commands: `cargo xtask eval` scores the system on sequences with known truth, `cargo xtask tidy` checks
 //! the rules of the tree.
 //!
 //! It starts the `bundlesdf` binary and never links its library: what is measured is what a user runs.
@@ -30,7 +30,7 @@ enum Command {
 
 fn main() -> anyhow::Result<ExitCode> {
     match Args::parse().command {
-        Command::Eval { layout: eval::Layout::Custom(args) } => eval::run(&args),
+        Command::Eval { layout } => eval::run(&layout),
         Command::Tidy => tidy::run(),
     }
 }

@@ -5,6 +5,7 @@ mod ply;
 mod report;
 mod run;
 mod score;
+mod synth;
 mod truth;
 
 use clap::{Subcommand, ValueEnum};
@@ -17,6 +18,8 @@ use std::process::ExitCode;
 pub(crate) enum Layout {
     /// Folders with rgb/, depth/, cam_K.txt, gt_poses/*.txt (4x4, object to camera) and mesh/*.obj.
     Custom(CustomArgs),
+    /// The synthetic suite, whose truth is exact: made on first use, nothing is downloaded.
+    Synth(SynthArgs),
 }
 
 /// How the tracker and the field take turns.
@@ -33,6 +36,25 @@ pub(crate) struct CustomArgs {
     /// Sequence folders.
     #[arg(required = true, value_name = "DIR")]
     dirs: Vec<PathBuf>,
+    #[command(flatten)]
+    how: How,
+}
+
+#[derive(clap::Args)]
+pub(crate) struct SynthArgs {
+    /// Sequences of the suite; without it, all of them.
+    #[arg(long, value_delimiter = ',', value_name = "NAME,...")]
+    videos: Vec<String>,
+    /// Where the sequences are kept, about 150 MB each; those already there are used again.
+    #[arg(long, default_value = "out/synth", value_name = "DIR")]
+    data: PathBuf,
+    #[command(flatten)]
+    how: How,
+}
+
+/// What every layout's evaluation has in common.
+#[derive(clap::Args)]
+struct How {
     /// Masks to track with: the first frame's, all (`masks/`, else `masks_derived/`), or those of a folder.
     #[arg(long, default_value = "first", value_name = "first|all|FOLDER")]
     masks: String,
@@ -56,13 +78,21 @@ pub(crate) struct CustomArgs {
     no_run: bool,
 }
 
+/// Evaluates on one layout.
+pub(crate) fn run(layout: &Layout) -> anyhow::Result<ExitCode> {
+    match layout {
+        Layout::Custom(args) => run_all(&args.dirs, &args.how),
+        Layout::Synth(args) => run_all(&synth::folders(&args.videos, &args.data)?, &args.how),
+    }
+}
+
 /// Runs and scores every sequence. A sequence that fails is a row with its error, and fails the command at the
 /// end.
-pub(crate) fn run(args: &CustomArgs) -> anyhow::Result<ExitCode> {
-    let names = sequence_names(&args.dirs)?;
+fn run_all(dirs: &[PathBuf], args: &How) -> anyhow::Result<ExitCode> {
+    let names = sequence_names(dirs)?;
     let program = if args.no_run { None } else { Some(run::build()?) };
     let mut report = Report::default();
-    for (dir, name) in args.dirs.iter().zip(names) {
+    for (dir, name) in dirs.iter().zip(names) {
         let row = evaluate(args, program.as_deref(), dir, &name)
             .unwrap_or_else(|error| Row::failed(&name, &format!("{error:#}")));
         eprintln!("{}", row.summary());
@@ -75,7 +105,7 @@ pub(crate) fn run(args: &CustomArgs) -> anyhow::Result<ExitCode> {
     Ok(if report.rows.iter().any(|row| row.error.is_some()) { ExitCode::FAILURE } else { ExitCode::SUCCESS })
 }
 
-fn evaluate(args: &CustomArgs, program: Option<&Path>, dir: &Path, name: &str) -> anyhow::Result<Row> {
+fn evaluate(args: &How, program: Option<&Path>, dir: &Path, name: &str) -> anyhow::Result<Row> {
     // Read first: a folder without truth should not cost a run.
     let truth = truth::Truth::read(dir, args.stride as usize)?;
     let out = args.out.join(name);

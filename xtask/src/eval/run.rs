@@ -1,6 +1,6 @@
 //! Builds the binary and runs it on one sequence.
 
-use super::{CustomArgs, Schedule};
+use super::{How, Schedule};
 use anyhow::Context;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
@@ -28,7 +28,7 @@ pub(super) fn build() -> anyhow::Result<PathBuf> {
 /// Runs the system on `dir`; its messages go to `<out>.log`.
 pub(super) fn run(
     program: &Path,
-    args: &CustomArgs,
+    args: &How,
     dir: &Path,
     masks: &[std::ffi::OsString],
     out: &Path,
