@@ -32,6 +32,7 @@ pub mod observation;
 pub mod output;
 mod pool;
 pub mod report;
+mod rigid;
 mod surface;
 mod tracker;
 mod video;

@@ -6,7 +6,7 @@ use mask_tracker::SurfacePoint;
 
 use crate::{
     pool::MemoryPool,
-    tracker::{moved_point, moved_vector},
+    rigid::{moved_point, moved_vector},
 };
 
 /// Spacing of the fused points (metres).

@@ -5,7 +5,10 @@ use matcher::klt::{KltOptions, track_forward_backward};
 use matcher::ransac::LiftedMatch;
 use nalgebra::{Isometry3, Point3, Vector3};
 
-use crate::observation::Observation;
+use crate::{
+    observation::Observation,
+    rigid::{moved_point, moved_vector},
+};
 
 /// One point seen in two observations, in each one's camera frame (metres).
 #[derive(Clone, Copy, Debug)]
@@ -29,14 +32,6 @@ impl Correspondence {
             weight: self.weight,
         }
     }
-}
-
-pub(crate) fn moved_point(pose: &Isometry3<f64>, p: [f32; 3]) -> [f32; 3] {
-    (pose * Point3::from(p).cast::<f64>()).coords.cast::<f32>().into()
-}
-
-pub(crate) fn moved_vector(pose: &Isometry3<f64>, v: [f32; 3]) -> [f32; 3] {
-    (pose * Vector3::from(v).cast::<f64>()).cast::<f32>().into()
 }
 
 /// Tracks up to `max_corners` corners of `from` into `to`; `to_from` is the guess of the relative motion (maps points

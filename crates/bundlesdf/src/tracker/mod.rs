@@ -17,7 +17,6 @@ use neural_field::TrainedField;
 use rayon::prelude::*;
 use rgbd_io::{Image, Mask, RgbdFrame};
 
-pub(crate) use self::correspond::{moved_point, moved_vector};
 use self::{
     coarse::{
         CoarsePose, Descriptors, Gates, agreement_with_memory, coarse_from_matches, coarse_from_tracks,
