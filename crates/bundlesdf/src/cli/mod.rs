@@ -39,7 +39,7 @@ Exit codes: 0 done, 2 an input, config or output that can't be used (the message
 struct Cli {
     #[command(subcommand)]
     command: Command,
-    /// Log what happens inside: -v rounds and warnings, -vv every frame, -vvv timing of every span.
+    /// Log what happens inside: -v the time of every frame and field round, -vv every decision, -vvv everything.
     #[arg(short, long, action = clap::ArgAction::Count, global = true)]
     verbose: u8,
 }
@@ -203,7 +203,8 @@ fn init_tracing(verbose: u8) {
         2 => "debug",
         _ => "trace",
     };
-    let spans = if verbose > 2 { FmtSpan::CLOSE } else { FmtSpan::NONE };
+    // A span's end carries its duration.
+    let spans = if verbose > 0 { FmtSpan::CLOSE } else { FmtSpan::NONE };
     let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(level));
     tracing_subscriber::fmt()
         .with_env_filter(filter)
