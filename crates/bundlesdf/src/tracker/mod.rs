@@ -66,12 +66,16 @@ pub struct Tracker {
     new_keyframes: usize,
     next_index: usize,
     first_valid: usize,
+    /// No match has tied the pose to memory since a frame without matches: it may have slid over a symmetric part.
+    adrift: bool,
 }
 
 /// A pose and what supports it, before it is judged.
 struct Estimate {
     pose: Isometry3<f64>,
     inliers: usize,
+    /// Matches with keyframes among them.
+    memory_matches: usize,
     relocalised: bool,
     edges: Vec<(usize, MemoryEdge)>,
     moved: Vec<(usize, Isometry3<f64>)>,
@@ -106,6 +110,7 @@ impl Tracker {
             new_keyframes: 0,
             next_index: 0,
             first_valid: 0,
+            adrift: false,
         })
     }
 
@@ -233,6 +238,11 @@ impl Tracker {
         let gates = Gates::between(c, gap);
         let tracked = coarse_from_tracks(near, observation, &guesses, gates, c, seed);
         let enough = |p: &CoarsePose| p.matches.len() >= 2 * c.min_inliers;
+        if self.adrift
+            && let Some(found) = relocalise(&self.pool, observation, &self.descriptors, &self.config)
+        {
+            return Some((found, true));
+        }
         if gap <= 3 && tracked.as_ref().is_some_and(enough) {
             return tracked.map(|p| (p, false));
         }
@@ -280,9 +290,16 @@ impl Tracker {
         let inliers = matched.max(coarse.as_ref().map_or(0, |c| c.matches.len()));
         match solved {
             Some(GraphResult { pose, moved }) if within(Gates::CORRECTION, &guess, &pose) => {
-                Estimate { pose, inliers, relocalised, edges, moved }
+                Estimate { pose, inliers, memory_matches: matched, relocalised, edges, moved }
             }
-            _ => Estimate { pose: guess, inliers, relocalised, edges, moved: Vec::new() },
+            _ => Estimate {
+                pose: guess,
+                inliers,
+                memory_matches: matched,
+                relocalised,
+                edges,
+                moved: Vec::new(),
+            },
         }
     }
 
@@ -339,11 +356,14 @@ impl Tracker {
                 keyframe.obj_from_cam = *pose;
             }
         }
+        let tied = estimate.relocalised || estimate.memory_matches >= 2 * self.config.coarse.min_inliers;
+        self.adrift = !tied && (self.adrift || !enough);
         let observation = Arc::new(observation);
         let pose = estimate.pose;
         self.reference = Some(Reference { index, observation: observation.clone(), pose });
         self.motion.observe(index, &pose);
         let keyframe = status == Status::Tracked
+            && !self.adrift
             && observation.valid as f64 >= self.config.memory.min_valid_share * self.first_valid as f64
             && self.pool.is_new_view(&pose, &self.config.memory);
         if keyframe {
