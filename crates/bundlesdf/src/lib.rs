@@ -40,6 +40,7 @@ mod rigid;
 mod surface;
 mod tracker;
 mod video;
+mod zoom;
 
 pub use ablation::Ablation;
 pub use config::{Config, ConfigError, Schedule};
