@@ -16,6 +16,10 @@ use crate::{Error, Image, Mask};
 const MAX_PIXELS: u64 = 64_000_000;
 const MAX_FILE_BYTES: u64 = 512 << 20;
 
+/// Most that a byte of a file can hold, decoded. Deflate repeats at most 1032 bytes per byte, of which each may hold
+/// eight pixels of one bit; JPEG stays below. A header that claims more lies, and no memory is taken for it.
+const MAX_EXPANSION: u64 = 8 * 1032;
+
 const EXPORT_AGAIN: &str = "export this image again";
 const DEPTH_REMEDY: &str = "save depth as a single-channel 16-bit PNG in millimetres, 0 where missing";
 
@@ -157,6 +161,10 @@ fn decode(path: &Path) -> Result<(ImageFormat, DynamicImage), Error> {
     }
     if width == 0 || height == 0 {
         return Err(Error::new(path, "has no pixels", EXPORT_AGAIN));
+    }
+    if decoder.total_bytes() > MAX_EXPANSION * bytes.len() as u64 {
+        let problem = format!("claims {width}x{height} pixels, which {} bytes can't hold", bytes.len());
+        return Err(Error::new(path, problem, "the image is damaged: export or copy it again"));
     }
     Ok((format, DynamicImage::from_decoder(decoder).map_err(failed)?))
 }

@@ -156,7 +156,9 @@ pub fn parse_trajectory(text: &str) -> Result<Vec<(f64, Isometry3<f64>)>, String
         let words: Option<Vec<f64>> = line.split_whitespace().map(|w| w.parse().ok()).collect();
         let words = words.filter(|w| w.iter().all(|v| v.is_finite())).ok_or_else(wrong)?;
         let &[time, tx, ty, tz, qx, qy, qz, qw] = words.as_slice() else { return Err(wrong()) };
-        let rotation = UnitQuaternion::try_new(Quaternion::new(qw, qx, qy, qz), 1e-6).ok_or_else(wrong)?;
+        let q = Quaternion::new(qw, qx, qy, qz);
+        // A length whose square overflows is no rotation that was rounded.
+        let rotation = UnitQuaternion::try_new(q, 1e-6).filter(|_| q.norm().is_finite()).ok_or_else(wrong)?;
         poses.push((time, Isometry3::from_parts(Translation3::new(tx, ty, tz), rotation)));
     }
     poses.sort_by(|a, b| a.0.total_cmp(&b.0));

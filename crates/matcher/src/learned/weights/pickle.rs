@@ -4,7 +4,7 @@
 //! strings, tuples, dicts, references to storages, and two functions: the one that makes an ordered dict and the one that
 //! makes a tensor of a storage. Those are recognised by name; a pickle with anything else is refused.
 
-use super::bytes::{array, floats, u16_at, u32_at};
+use super::bytes::{array, u16_at, u32_at};
 use super::zip::Archive;
 use super::{MAX_DIMENSIONS, MAX_TENSORS, MAX_VALUES, Tensor};
 use crate::learned::Error;
@@ -33,7 +33,7 @@ pub(super) fn state_dict(archive: &Archive<'_>) -> Result<BTreeMap<String, Tenso
     let mut machine = Machine { program, ..Machine::default() };
     let Value::Object(top) = machine.run()? else { return Err(unsupported("no state dict")) };
     let Object::Dict(entries) = &machine.objects[top] else { return Err(unsupported("no state dict")) };
-    let (mut tensors, mut total) = (BTreeMap::new(), 0_usize);
+    let (mut tensors, mut count, mut total) = (BTreeMap::new(), 0_usize, 0_usize);
     for (name, value) in entries {
         let (Value::Text(name), Value::Object(index)) = (name, value) else { continue };
         let Object::Tensor(tensor) = &machine.objects[*index] else { continue };
@@ -45,8 +45,10 @@ pub(super) fn state_dict(archive: &Archive<'_>) -> Result<BTreeMap<String, Tenso
             .ok_or_else(|| damaged(format!("the values of tensor `{name}` are missing")))?;
         let loaded =
             tensor.load(content).ok_or_else(|| damaged(format!("tensor `{name}` exceeds its values")))?;
+        // Not the number of names: a hostile file repeats one of them.
+        count += 1;
         total += loaded.values.len();
-        if tensors.len() >= MAX_TENSORS || total > MAX_VALUES {
+        if count > MAX_TENSORS || total > MAX_VALUES {
             return Err(unsupported("more tensors than any network known here"));
         }
         tensors.insert((*name).to_owned(), loaded);
@@ -95,6 +97,10 @@ impl View<'_> {
         if count > content.len() / 4 {
             return None;
         }
+        if count == 0 {
+            // Beside a length of 0 the others may be anything.
+            return Some(Tensor { shape: self.shape.clone(), values: Vec::new() });
+        }
         let mut at = vec![self.offset];
         for (&length, &stride) in self.shape.iter().zip(&self.strides) {
             let mut next = Vec::with_capacity(at.len().checked_mul(length)?);
@@ -105,8 +111,9 @@ impl View<'_> {
             }
             at = next;
         }
-        let stored = floats(content);
-        let values = at.into_iter().map(|i| stored.get(i).copied()).collect::<Option<Vec<f32>>>()?;
+        let (stored, _) = content.as_chunks::<4>();
+        let value = |i: usize| stored.get(i).map(|b| f32::from_le_bytes(*b));
+        let values = at.into_iter().map(value).collect::<Option<Vec<f32>>>()?;
         Some(Tensor { shape: self.shape.clone(), values })
     }
 }

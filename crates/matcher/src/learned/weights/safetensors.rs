@@ -20,7 +20,7 @@ pub(super) fn parse(bytes: &[u8]) -> Result<BTreeMap<String, Tensor>, Error> {
     let text = std::str::from_utf8(header).map_err(|_| damaged("its header is not UTF-8"))?;
     let data = &bytes[end..];
     let entries = Json { text, at: 0 }.header().ok_or_else(|| damaged("its header is not as specified"))?;
-    let mut tensors = BTreeMap::new();
+    let (mut tensors, mut total) = (BTreeMap::new(), 0_usize);
     for Entry { name, dtype, shape, offsets: [from, to] } in entries {
         let wrong = |problem: &str| damaged(&format!("tensor `{name}` {problem}"));
         match dtype.as_str() {
@@ -34,6 +34,11 @@ pub(super) fn parse(bytes: &[u8]) -> Result<BTreeMap<String, Tensor>, Error> {
         let content = data.get(from..to).ok_or_else(|| wrong("lies outside the file"))?;
         if count != Some(content.len()) {
             return Err(wrong("has another size than its shape says"));
+        }
+        total += content.len();
+        // Tensors lie side by side: what overlaps could fill the memory from a small file.
+        if total > data.len() {
+            return Err(wrong("overlaps another"));
         }
         tensors.insert(name, Tensor { shape, values: floats(content) });
     }
