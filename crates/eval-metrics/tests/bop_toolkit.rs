@@ -11,8 +11,9 @@ fn rows(csv: &str) -> Vec<Vec<f64>> {
 
 fn models() -> Vec<ModelPoints> {
     let points = rows(include_str!("golden/bop_points.csv"));
-    let object =
-        |i: usize| points.iter().filter(|p| p[0] as usize == i).map(|p| [p[1], p[2], p[3]]).collect::<Vec<_>>();
+    let object = |i: usize| {
+        points.iter().filter(|p| p[0] as usize == i).map(|p| [p[1], p[2], p[3]]).collect::<Vec<_>>()
+    };
     (0..3).map(|i| ModelPoints::new(object(i)).unwrap()).collect()
 }
 
@@ -45,7 +46,9 @@ fn errors_are_those_of_the_bop_toolkit() {
             *worst = worst.max((ours - theirs).abs() / theirs);
         }
     }
-    println!("largest relative differences: ADD {:.1e}, ADD-S {:.1e}, rotation {:.1e}, translation {:.1e}",
-        largest[0], largest[1], largest[2], largest[3]);
+    println!(
+        "largest relative differences: ADD {:.1e}, ADD-S {:.1e}, rotation {:.1e}, translation {:.1e}",
+        largest[0], largest[1], largest[2], largest[3]
+    );
     assert!(largest.iter().all(|d| *d < 1e-9), "{largest:?}");
 }

@@ -149,13 +149,16 @@ fn change(bytes: &mut Bytes<'_>, frame: &mut RgbdFrame) {
             let scale = bytes.choice(&DEPTHS, 1.0);
             frame.depth.pixels_mut().iter_mut().for_each(|z| *z *= scale);
         }
-        12 => noise(bytes.byte(), &mut frame.color, |c, v| *c = c.map(|c| c.wrapping_add((v * 99.0) as i8 as u8))),
+        12 => noise(bytes.byte(), &mut frame.color, |c, v| {
+            *c = c.map(|c| c.wrapping_add((v * 99.0) as i8 as u8))
+        }),
         13 => frame.mask = Some(Image::filled(w, h, 0)),
         14 => resize(frame, 1, 1),
         _ => {
             let period = 1 + bytes.below(7);
             let (inside, outside) = (bytes.choice(&DEPTHS, 0.5), bytes.choice(&DEPTHS, 0.6));
-            let pattern = |x: usize, y: usize| if (x / period + y / period) % 2 == 0 { inside } else { outside };
+            let pattern =
+                |x: usize, y: usize| if (x / period + y / period) % 2 == 0 { inside } else { outside };
             frame.depth = Image::from_fn(w, h, pattern);
         }
     }

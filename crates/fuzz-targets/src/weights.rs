@@ -137,13 +137,17 @@ fn layer(bytes: &mut Bytes<'_>, name: &str, shape: [u8; 4], header: &mut String,
     let comma = if header.len() > 1 { "," } else { "" };
     let from = 4 * values.len();
     values.extend((0..count).map(|i| if i % 3 == 1 { second } else { first }));
-    *header +=
-        &format!(r#"{comma}"{name}.weight":{{"dtype":"F32","shape":{shape:?},"data_offsets":[{from},{}]}}"#, from + 4 * count);
+    *header += &format!(
+        r#"{comma}"{name}.weight":{{"dtype":"F32","shape":{shape:?},"data_offsets":[{from},{}]}}"#,
+        from + 4 * count
+    );
     if mutation & 1 == 1 {
         let outputs = shape.first().copied().unwrap_or(0) + usize::from(mutation == 223);
         let from = 4 * values.len();
         values.extend(std::iter::repeat_n(second, outputs));
-        *header +=
-            &format!(r#","{name}.bias":{{"dtype":"F32","shape":[{outputs}],"data_offsets":[{from},{}]}}"#, from + 4 * outputs);
+        *header += &format!(
+            r#","{name}.bias":{{"dtype":"F32","shape":[{outputs}],"data_offsets":[{from},{}]}}"#,
+            from + 4 * outputs
+        );
     }
 }

@@ -1,5 +1,7 @@
 //! Image files: colour, depth and masks in, PNG out.
 
+#![warn(clippy::indexing_slicing)]
+
 use std::io::Cursor;
 use std::path::Path;
 
@@ -31,7 +33,7 @@ pub fn read_color(path: &Path) -> Result<Image<[u8; 3]>, Error> {
     let (_, decoded) = decode(path)?;
     let rgb = decoded.into_rgb8();
     let (width, height) = (rgb.width() as usize, rgb.height() as usize);
-    let pixels = rgb.into_raw().chunks_exact(3).map(|p| [p[0], p[1], p[2]]).collect();
+    let pixels = rgb.into_raw().as_chunks::<3>().0.to_vec();
     sized(path, width, height, pixels)
 }
 
@@ -105,7 +107,8 @@ fn nonzero(path: &Path, decoded: DynamicImage) -> Result<Mask, Error> {
         // In 16 bits per channel, so that small 16-bit labels don't round to zero.
         other => {
             let rgba = other.into_rgba16().into_raw();
-            rgba.chunks_exact(4).map(|p| object(p[3] != 0 && p[..3].iter().any(|v| *v != 0))).collect()
+            let object_at = |[r, g, b, a]: &[u16; 4]| object(*a != 0 && (*r | *g | *b) != 0);
+            rgba.as_chunks::<4>().0.iter().map(object_at).collect()
         }
     };
     sized(path, width, height, pixels)

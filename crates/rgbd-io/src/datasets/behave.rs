@@ -198,8 +198,7 @@ pub fn parse_color_camera(bytes: &[u8]) -> Result<Intrinsics, String> {
 fn camera_from_world(info: &Info, camera: usize) -> Result<Isometry3<f64>, Error> {
     let path = info.config.join(camera.to_string()).join("config.json");
     let bytes = read_file(&path, MAX_CALIBRATION_BYTES, CALIBRATION_REMEDY)?;
-    let pose =
-        parse_camera_pose(&bytes).map_err(|problem| Error::new(&path, problem, CALIBRATION_REMEDY))?;
+    let pose = parse_camera_pose(&bytes).map_err(|problem| Error::new(&path, problem, CALIBRATION_REMEDY))?;
     Ok(pose.inverse())
 }
 

@@ -132,7 +132,9 @@ pub fn parse_meta(bytes: &[u8]) -> Result<Meta, String> {
         Some(value) => value.numbers::<3>().map(Some).map_err(|e| format!("its {key} {e}")),
     };
     let cam_from_obj = match (vector("objRot")?, vector("objTrans")?) {
-        (Some(r), Some(t)) => Some(flip_camera(&axis_angle_pose(r, t).map_err(|e| format!("its objRot {e}"))?)),
+        (Some(r), Some(t)) => {
+            Some(flip_camera(&axis_angle_pose(r, t).map_err(|e| format!("its objRot {e}"))?))
+        }
         _ => None,
     };
     let plain = |name: &String| {
@@ -222,6 +224,20 @@ mod tests {
         ] {
             let message = parse_meta(bytes).unwrap_err();
             assert!(message.contains(word), "{message}");
+        }
+    }
+
+    #[test]
+    fn a_turn_beyond_all_numbers_is_an_error() {
+        let meta = |turn: &str| {
+            let text = format!(
+                "(dS'camMat'\n(lF9\naF0\naF3\naF0\naF9\naF3\naF0\naF0\naF1\nasS'objRot'\n(lF{turn}\naF0\naF0\nasS'objTrans'\n(lF0\naF0\naF0\nas."
+            );
+            parse_meta(text.as_bytes())
+        };
+        assert!(meta("0.5").unwrap().cam_from_obj.is_some());
+        for turn in ["1e200", "-1e308", "1e7"] {
+            assert!(meta(turn).unwrap_err().contains("objRot"), "{turn}");
         }
     }
 

@@ -193,7 +193,9 @@ impl<'a> Pickle<'a> {
         let values: Option<Vec<f64>> = bytes.chunks_exact(size).map(number).collect();
         let mut values = values.ok_or("has numbers of an unknown type")?;
         if let (true, &[rows, columns]) = (fortran, shape.as_slice()) {
-            values = (0..rows * columns).map(|i| values[i % columns * rows + i / columns]).collect();
+            let column_major = std::mem::take(&mut values);
+            let at = |i: usize| column_major.get(i % columns * rows + i / columns).copied();
+            values = (0..rows * columns).filter_map(at).collect();
         } else if fortran && shape.len() > 2 {
             return Err("is in column-major order with more than two axes".into());
         }
