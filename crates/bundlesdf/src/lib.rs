@@ -37,6 +37,7 @@ mod pool;
 pub mod report;
 mod rigid;
 mod surface;
+pub mod texture;
 mod tracker;
 mod video;
 
