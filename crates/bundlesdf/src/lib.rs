@@ -25,9 +25,11 @@
 //! waits for each round and a run is reproducible, with [`Schedule::Realtime`] it never waits.
 
 mod ablation;
+pub mod canonical;
 pub mod config;
 mod depth;
 pub mod evaluate;
+pub mod export;
 mod field_worker;
 mod global_graph;
 pub mod input;
