@@ -127,8 +127,10 @@ pub fn bake(mesh: &TriMesh, views: &[View], options: &TextureOptions) -> Result<
     if let Some(bad) = views.iter().position(|v| !v.is_usable()) {
         return Err(TextureError::View(bad));
     }
+    // Vertices keep their numbers, so that what the caller knows of them still holds.
     let mut mesh = mesh.clone();
-    mesh.weld();
+    let count = mesh.vertices.len();
+    mesh.triangles.retain(|t| t.iter().all(|&i| (i as usize) < count));
     if mesh.triangles.is_empty() {
         return Err(TextureError::EmptyMesh);
     }
