@@ -53,7 +53,7 @@ mod tests {
         let mesh = marching_cubes::extract_fn([24; 3], [-1.0; 3], 2.0 / 23.0, 0.0, |p| {
             p.iter().map(|v| v * v).sum::<f32>().sqrt() - 0.7
         });
-        let options = TextureOptions { size: 512, padding: 3 };
+        let options = TextureOptions { size: 512, ..TextureOptions::default() };
         let layout = unwrap(&mesh, &options).unwrap();
         assert_eq!(layout.triangles.len(), mesh.triangles.len());
         for (t, original) in layout.triangles.iter().zip(&mesh.triangles) {

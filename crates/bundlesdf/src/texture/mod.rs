@@ -4,6 +4,7 @@
 //! colour from all views that agree, so that exposure and shading change smoothly over the surface and no seam is
 //! left where the best view changes. What no view saw is filled from its surroundings.
 
+mod align;
 mod atlas;
 mod color;
 mod fill;
@@ -42,11 +43,13 @@ pub struct TextureOptions {
     pub size: usize,
     /// Texels of margin around each chart, at least; charts lie twice as far apart.
     pub padding: usize,
+    /// Correct the views' poses, by a few millimetres at most, so that their images agree on the surface.
+    pub align: bool,
 }
 
 impl Default for TextureOptions {
     fn default() -> Self {
-        Self { size: 2048, padding: 3 }
+        Self { size: 2048, padding: 3, align: true }
     }
 }
 
@@ -105,11 +108,13 @@ pub struct TextureStats {
     pub faces_per_view: Vec<usize>,
     /// Factors on red, green and blue that each view's colours were multiplied by.
     pub gains: Vec<[f32; 3]>,
+    /// How far each view's pose was corrected (millimetres, at the object's middle).
+    pub shifts_mm: Vec<f64>,
 }
 
 /// Paints `mesh` (object frame, metres) with what `views` saw of it.
 ///
-/// The method: an atlas; visibility by a depth buffer of the mesh and the measured depth; per-view gains by least
+/// The method: an atlas; a last photometric correction of the poses; visibility by a depth buffer of the mesh and the measured depth; per-view gains by least
 /// squares over what several views saw; the best view of each face by angle, resolution, sharpness, depth residual
 /// and distance from the mask's border, smoothed over neighbours (after Lempitsky and Ivanov, "Seamless Mosaicing
 /// of Image-Based Texture Maps", CVPR 2007); and two bands, the low one averaged over all agreeing views, the high
@@ -138,7 +143,13 @@ pub fn bake(mesh: &TriMesh, views: &[View], options: &TextureOptions) -> Result<
         mesh.compute_normals();
     }
     let layout = atlas::unwrap(&mesh, options)?;
-    let prepared = view::prepare(&mesh, views);
+    let mut prepared = view::prepare(&mesh, views);
+    let mut shifts_mm = vec![0.0; views.len()];
+    if options.align {
+        let corrections = align::corrections(&mesh, &prepared);
+        prepared = view::prepare_corrected(&mesh, views, &corrections);
+        shifts_mm = corrections.iter().map(|c| shift_mm(&mesh, c)).collect();
+    }
     let mut sightings = sample::sightings(&mesh, &prepared);
     let gains = color::gains(&sightings, views.len());
     color::drop_outliers(&mut sightings, &gains);
@@ -169,8 +180,16 @@ pub fn bake(mesh: &TriMesh, views: &[View], options: &TextureOptions) -> Result<
             observed,
             faces_per_view,
             gains,
+            shifts_mm,
         },
     })
+}
+
+/// How far a motion moves the middle of the mesh's box.
+fn shift_mm(mesh: &TriMesh, motion: &Isometry3<f64>) -> f64 {
+    let (low, high) = mesh.bounds().unwrap_or_default();
+    let middle = nalgebra::Point3::from(std::array::from_fn(|k| 0.5 * f64::from(low[k] + high[k])));
+    1e3 * (motion * middle - middle).norm()
 }
 
 impl View {

@@ -64,6 +64,17 @@ pub(super) fn prepare(mesh: &TriMesh, views: &[View]) -> Vec<Prepared> {
     prepared.into_iter().map(|(view, _)| view).collect()
 }
 
+/// Prepares the views with `obj_from_cam <- correction * obj_from_cam`.
+pub(super) fn prepare_corrected(
+    mesh: &TriMesh,
+    views: &[View],
+    corrections: &[Isometry3<f64>],
+) -> Vec<Prepared> {
+    let corrected = views.iter().zip(corrections);
+    let corrected = corrected.map(|(view, c)| View { obj_from_cam: c * view.obj_from_cam, ..view.clone() });
+    prepare(mesh, &corrected.collect::<Vec<_>>())
+}
+
 impl Prepared {
     /// The view and its sharpness (mean squared Laplacian over the pixels' variance).
     fn new(mesh: &TriMesh, view: &View) -> (Self, f32) {
@@ -94,6 +105,14 @@ impl Prepared {
             quality: (1.0 / (1.0 + (residual / RESIDUAL).powi(2))) as f32,
         };
         (view, sharpness)
+    }
+
+    pub(super) fn intrinsics(&self) -> &Intrinsics {
+        &self.k
+    }
+
+    pub(super) fn cam_from_obj(&self) -> Isometry3<f64> {
+        self.cam_from_obj
     }
 
     /// How the surface point `p` with normal `n` is seen; `None` when it is hidden, out of the image or seen from
@@ -148,6 +167,12 @@ pub(super) fn bilinear(image: &Image<[f32; 3]>, [u, v]: [f32; 2]) -> [f32; 3] {
         let top = a[k] + s * (b[k] - a[k]);
         top + t * (c[k] + s * (d[k] - c[k]) - top)
     })
+}
+
+/// Brightness (0 to 255) of a view, blurred within its usable pixels.
+pub(super) fn luminance(view: &Prepared, radius: usize) -> Image<f32> {
+    let usable = view.inset.map(|d| *d > 0.0);
+    blurred(&view.color, &usable, radius).map(|[r, g, b]| 0.299 * r + 0.587 * g + 0.114 * b)
 }
 
 /// Left, top, width and height of the mask with a margin; at least one pixel.
