@@ -106,7 +106,7 @@ fn a_run_becomes_assets() {
     let written: Value = serde_json::from_slice(&read(&folder, "export.json")).unwrap();
     assert_eq!(written["faces"], report.faces as u64);
     // At 160 x 120 the outermost pixels, which are not trusted, are a good part of the object.
-    assert!(written["texture"]["observed"].as_f64().unwrap() > 0.6, "{}", written["texture"]["observed"]);
+    assert!(written["texture"]["observed"].as_f64().unwrap() > 0.4, "{}", written["texture"]["observed"]);
     // Another export replaces the first: what it doesn't write is gone.
     let less = ExportOptions { texture: None, formats: vec![Format::Glb], ..small() };
     export(&folder, &less).unwrap();

@@ -27,7 +27,7 @@ pub(super) struct ExportArgs {
     #[arg(long)]
     close: bool,
     /// Cut off surface that fewer keyframes than this saw.
-    #[arg(long, default_value_t = 1, value_name = "N")]
+    #[arg(long, default_value_t = 2, value_name = "N")]
     min_observations: u32,
     /// Also write sim/: URDF and MJCF with convex collision hulls, mass and inertia.
     #[arg(long)]

@@ -73,7 +73,8 @@ pub struct ExportOptions {
     pub canonical: bool,
     /// Close the holes where nothing was seen.
     pub close: bool,
-    /// Surface that fewer keyframes saw is cut off; `0` keeps everything.
+    /// Surface that fewer keyframes saw is cut off, with fewer keyframes than this what not all saw; `0` keeps
+    /// everything.
     pub min_observations: u32,
     /// Which files.
     pub formats: Vec<Format>,
@@ -88,7 +89,7 @@ impl Default for ExportOptions {
             faces: None,
             canonical: false,
             close: false,
-            min_observations: 1,
+            min_observations: 2,
             formats: Format::ALL.to_vec(),
             density: None,
         }
@@ -263,7 +264,8 @@ fn clean(mesh: &TriMesh, views: &[View], options: &ExportOptions) -> Result<TriM
     }
     if options.min_observations > 0 {
         let counts = observe(&mesh, views).counts;
-        mesh = observe::trimmed(&mesh, &counts, options.min_observations).largest_component();
+        let least = options.min_observations.min(views.len() as u32);
+        mesh = observe::trimmed(&mesh, &counts, least).largest_component();
         if mesh.triangles.is_empty() {
             return Err(ExportError::Unseen);
         }
