@@ -47,7 +47,7 @@ pub use input::VideoInput;
 pub use observation::{Observation, Unusable};
 pub use output::OutputFolder;
 pub use pool::{Keyframe, MemoryPool};
-pub use report::{KeyframeReport, RunReport};
+pub use report::{KeyframeReport, RoundReport, RunReport};
 pub use tracker::{FieldSummary, FrameResult, Reconstruction, StageTimes, Status, Tracker};
 pub use video::{Observer, RunError, VideoRun, run_video};
 

@@ -20,6 +20,8 @@ use crate::{
 
 const POSES: &str = "ob_in_cam";
 const MASKS: &str = "masks";
+/// Frames with overlays, as `bundlesdf draw` writes them.
+const DRAWN: &str = "draw";
 
 /// A folder that holds one run's results.
 #[derive(Clone, Debug)]
@@ -182,7 +184,8 @@ impl OutputFolder {
 
 /// Removes what an earlier run wrote under its own names.
 fn remove_earlier_run(root: &Path) -> std::io::Result<()> {
-    for (dir, kind) in [(root.join(POSES), "txt"), (root.join(MASKS), "png")] {
+    for (dir, kind) in [(POSES, "txt"), (MASKS, "png"), (DRAWN, "png")] {
+        let dir = root.join(dir);
         if !dir.is_dir() {
             continue;
         }
@@ -193,7 +196,7 @@ fn remove_earlier_run(root: &Path) -> std::io::Result<()> {
             }
         }
     }
-    for name in ["run.json", "keyframes.json", "mesh.ply", "mesh.obj", "eval.json"] {
+    for name in ["run.json", "keyframes.json", "mesh.ply", "mesh.obj", "eval.json", "report.html"] {
         match fs::remove_file(root.join(name)) {
             Err(e) if e.kind() != std::io::ErrorKind::NotFound => return Err(e),
             _ => {}
