@@ -124,6 +124,27 @@ impl OutputFolder {
         rgbd_io::read_mask(&self.root.join(MASKS).join(format!("{id}.png")))
     }
 
+    /// Reads `mesh.ply`; `None` when the run made no mesh.
+    ///
+    /// # Errors
+    /// When it is there and damaged.
+    pub fn read_mesh(&self) -> Result<Option<TriMesh>, Error> {
+        let path = self.root.join("mesh.ply");
+        if !path.exists() {
+            return Ok(None);
+        }
+        let damaged =
+            |problem: String| Error::new(&path, format!("can't be read ({problem})"), "run the video again");
+        let bytes = fs::read(&path).map_err(|e| damaged(e.to_string()))?;
+        marching_cubes::read_ply(&bytes).map(Some).map_err(|e| damaged(e.to_string()))
+    }
+
+    /// The folder of the frames that `bundlesdf draw` writes.
+    #[must_use]
+    pub fn drawn(&self) -> PathBuf {
+        self.root.join(DRAWN)
+    }
+
     fn read_json<T: DeserializeOwned>(&self, name: &str) -> Result<T, Error> {
         let path = self.root.join(name);
         let text = fs::read_to_string(&path)

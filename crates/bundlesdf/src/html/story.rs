@@ -1,0 +1,197 @@
+//! What happened, in words, and what to do about it.
+
+use super::{gather::Results, timeline::runs};
+use crate::{
+    config::{Refiner, Schedule},
+    tracker::Status,
+};
+
+/// How the run went as a whole.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Verdict {
+    Good,
+    Gaps,
+    Poor,
+}
+
+impl Verdict {
+    pub(super) fn word(self) -> &'static str {
+        match self {
+            Self::Good => "Good",
+            Self::Gaps => "Usable, with gaps",
+            Self::Poor => "Poor",
+        }
+    }
+
+    pub(super) fn class(self) -> &'static str {
+        match self {
+            Self::Good => "good",
+            Self::Gaps => "gaps",
+            Self::Poor => "poor",
+        }
+    }
+}
+
+/// Something that went wrong and its remedy.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) struct Advice {
+    pub(super) problem: String,
+    pub(super) remedy: String,
+}
+
+/// The head of the page.
+pub(super) struct Story {
+    pub(super) verdict: Verdict,
+    pub(super) sentences: Vec<String>,
+    pub(super) advice: Vec<Advice>,
+}
+
+pub(super) fn story(results: &Results) -> Story {
+    let report = &results.report;
+    let total = report.frames.len();
+    let share = |count: usize| if total == 0 { 0.0 } else { count as f64 / total as f64 };
+    let (lost, weak) = (report.count(Status::Lost), report.count(Status::Weak));
+    let has_mesh = report.mesh.faces > 0;
+    let verdict = if total == 0 || share(lost) > 0.25 || (!has_mesh && wants_mesh(results)) {
+        Verdict::Poor
+    } else if share(lost) > 0.02 || share(weak) > 0.2 || report.interrupted || !report.warnings.is_empty() {
+        Verdict::Gaps
+    } else {
+        Verdict::Good
+    };
+    Story { verdict, sentences: sentences(results), advice: advice(results) }
+}
+
+fn wants_mesh(results: &Results) -> bool {
+    results.report.config.field.refiner == Refiner::Field
+}
+
+fn sentences(results: &Results) -> Vec<String> {
+    let report = &results.report;
+    let total = report.frames.len();
+    if total == 0 {
+        return vec!["No frame was tracked.".into()];
+    }
+    let found = report.count(Status::Tracked) + report.count(Status::Relocalised);
+    let (weak, lost) = (report.count(Status::Weak), report.count(Status::Lost));
+    let again = report.count(Status::Relocalised);
+    let mut first = if lost == 0 && weak == 0 {
+        format!("The object was tracked in all {total} frames")
+    } else {
+        let mut parts = vec![format!("The object was tracked in {found} of {total} frames")];
+        if weak > 0 {
+            parts.push(format!("{weak} poses are weak"));
+        }
+        if lost > 0 {
+            parts.push(format!("in {lost} it was lost"));
+        }
+        parts.join(", ")
+    };
+    if again > 0 {
+        first += &format!("; it was found again after a loss {}", times(again));
+    }
+    let mut sentences = vec![first + "."];
+    sentences.push(match (results.size_cm(), report.mesh.faces) {
+        (Some([a, b, c]), faces) if faces > 0 => {
+            let surface = if report.mesh.watertight { "closed (watertight)" } else { "open where nothing was seen" };
+            format!(
+                "From {} keyframes came a mesh of {} that is {surface}; the views cover {:.0} % of all directions.",
+                report.keyframes,
+                dimensions(a, b, c),
+                results.coverage() * 100.0
+            )
+        }
+        _ => format!("There is no mesh; {} keyframes were kept.", report.keyframes),
+    });
+    sentences
+}
+
+/// Centimetres for what one can hold.
+fn dimensions(a: f64, b: f64, c: f64) -> String {
+    format!("{a:.1} \u{d7} {b:.1} \u{d7} {c:.1} cm")
+}
+
+fn times(count: usize) -> String {
+    match count {
+        1 => "once".into(),
+        2 => "twice".into(),
+        n => format!("{n} times"),
+    }
+}
+
+fn advice(results: &Results) -> Vec<Advice> {
+    let report = &results.report;
+    let total = report.frames.len().max(1);
+    let mut list = Vec::new();
+    let mut say = |problem: String, remedy: &str| list.push(Advice { problem, remedy: remedy.into() });
+    let lost: Vec<_> = runs(&report.frames).into_iter().filter(|r| r.0 == Status::Lost).collect();
+    if let Some((_, start, end)) = lost.iter().max_by_key(|r| r.2 - r.1) {
+        say(
+            format!("Lost in {} ({}).", stretches(lost.len()), span(results, *start, *end)),
+            "Look at these frames: is the object hidden, out of the picture, closer than the camera measures, or \
+             blurred? If it is visible, compare its masks (bundlesdf draw OUT --what mask) and give better ones with \
+             --masks FOLDER. The pose of a lost frame is the last good one: don't use it.",
+        );
+    }
+    let weak = report.count(Status::Weak);
+    if weak * 5 > total {
+        say(
+            format!("{} % of the poses are weak.", weak * 100 / total),
+            "There is little texture or shape to hold on to, or the depth is noisy. Come closer (the object should \
+             fill a third of the picture), move more slowly, and avoid shiny surfaces.",
+        );
+    }
+    if report.mesh.faces == 0 && report.frames.len() > 1 {
+        let needed = report.config.field.first_round_keyframes;
+        match report.config.field.refiner {
+            Refiner::Field if report.keyframes < needed => say(
+                format!("No mesh: {} keyframes are fewer than the {needed} that the field waits for.", report.keyframes),
+                "Turn the object, or move around it: a keyframe is kept for every few degrees of a new view.",
+            ),
+            Refiner::Field => say(
+                "No mesh: the field was never trained to the end.".into(),
+                "See the warnings below; run again without an interruption.",
+            ),
+            _ => say(
+                "No mesh: the Neural Object Field is switched off in the config.".into(),
+                "Leave out --ablate no-nof, or set field.refiner to \"field\".",
+            ),
+        }
+    } else if report.mesh.faces > 0 && results.coverage() < 0.5 {
+        say(
+            format!("Only {:.0} % of the directions were seen.", results.coverage() * 100.0),
+            "The unseen sides of the mesh are missing or guessed. Turn the object so that every side faces the camera.",
+        );
+    }
+    let slow = report.schedule == Schedule::Realtime && report.tracking_hz_median < 15.0;
+    if slow && report.tracking_hz_median > 0.0 {
+        say(
+            format!("Tracking ran at {:.1} frames per second.", report.tracking_hz_median),
+            "For a live camera, reduce the picture (preprocess.working_side) or use every second frame (--stride 2).",
+        );
+    }
+    for failure in &report.field.failures {
+        say(format!("A round of the field failed: {failure}."), "Tracking went on without it; poses may drift more.");
+    }
+    for warning in report.warnings.iter().chain(&results.problems) {
+        say(format!("{warning}."), "A frame that could not be read counts as lost.");
+    }
+    if report.interrupted {
+        say("The run was stopped before the last frame.".into(), "What is here ends with the last frame tracked.");
+    }
+    list
+}
+
+fn stretches(count: usize) -> String {
+    if count == 1 { "one stretch".into() } else { format!("{count} stretches") }
+}
+
+/// The longest stretch, by the names of its frames.
+fn span(results: &Results, start: usize, end: usize) -> String {
+    let name = |i: usize| results.report.frames.get(i).map_or("", |f| f.id.as_str());
+    if end - start == 1 {
+        format!("frame {}", name(start))
+    } else {
+        format!("the longest from frame {} to {}, {} frames", name(start), name(end - 1), end - start)
+    }
+}
