@@ -27,9 +27,11 @@
 mod ablation;
 pub mod config;
 mod depth;
+pub mod draw;
 pub mod evaluate;
 mod field_worker;
 mod global_graph;
+pub mod html;
 pub mod input;
 pub mod observation;
 pub mod output;

@@ -55,7 +55,8 @@ async function start() {
   grid.material.opacity = 0.25;
   scene.add(grid);
   const axes = new AxesHelper(size * 0.3);
-  model.add(axes);
+  // In the frame of the file's own coordinates, inside the node that turns them upright.
+  (gltf.scene.children[0] ?? model).add(axes);
   axes.visible = false;
 
   scene.add(new HemisphereLight(0xffffff, 0x8d8d95, 1.7), new AmbientLight(0xffffff, 0.5));

@@ -17,11 +17,21 @@ pub enum AnimationError {
     #[error("{}: isn't .gif, .webp, .mp4 or .webm; give a name that ends in one of these", .0.display())]
     UnknownFormat(PathBuf),
     /// The format needs ffmpeg.
-    #[error("{}: needs ffmpeg, which can't be started ({1}); install it, or give a name that ends in .gif", .0.display())]
-    NoFfmpeg(PathBuf, std::io::Error),
+    #[error("{}: needs ffmpeg, which can't be started ({reason}); install it, or use .gif", path.display())]
+    NoFfmpeg {
+        /// The animation.
+        path: PathBuf,
+        /// Why it can't be started.
+        reason: std::io::Error,
+    },
     /// The file can't be written.
-    #[error("{}: can't be written ({1}); check the folder and the space on the disk", .0.display())]
-    Write(PathBuf, String),
+    #[error("{}: can't be written ({problem}); check the folder and the space on the disk", path.display())]
+    Write {
+        /// The animation.
+        path: PathBuf,
+        /// What went wrong.
+        problem: String,
+    },
 }
 
 /// An animation under way: frames of one size, pushed in order, then [`Animation::finish`].
@@ -83,7 +93,7 @@ impl Animation {
             },
             _ => Ok(()),
         };
-        result.map_err(|problem| AnimationError::Write(self.path.clone(), problem))
+        result.map_err(|problem| AnimationError::Write { path: self.path.clone(), problem })
     }
 
     /// Completes the file.
@@ -91,7 +101,7 @@ impl Animation {
     /// # Errors
     /// When it can't be written, or ffmpeg fails.
     pub fn finish(mut self) -> Result<(), AnimationError> {
-        let failed = |problem: String| AnimationError::Write(self.path.clone(), problem);
+        let failed = |problem: String| AnimationError::Write { path: self.path.clone(), problem };
         match &mut self.sink {
             Sink::Gif(encoder) => match encoder.take() {
                 Some(encoder) => {
@@ -112,22 +122,22 @@ impl Animation {
 
     fn start(&mut self) -> Result<(), AnimationError> {
         let (width, height) = self.size;
-        let failed = |problem: String| AnimationError::Write(self.path.clone(), problem);
+        let failed = |problem: String| AnimationError::Write { path: self.path.clone(), problem };
         match &mut self.sink {
             Sink::Gif(encoder) => {
                 let (Ok(w), Ok(h)) = (u16::try_from(width), u16::try_from(height)) else {
                     return Err(failed("GIF pictures have at most 65535 rows and columns".into()));
                 };
                 let file = File::create(&self.path).map_err(|e| failed(e.to_string()))?;
-                let mut started = gif::Encoder::new(BufWriter::new(file), w, h, &[])
-                    .map_err(|e| failed(e.to_string()))?;
+                let mut started =
+                    gif::Encoder::new(BufWriter::new(file), w, h, &[]).map_err(|e| failed(e.to_string()))?;
                 started.set_repeat(gif::Repeat::Infinite).map_err(|e| failed(e.to_string()))?;
                 *encoder = Some(started);
             }
             Sink::Ffmpeg(child) => {
                 let started = ffmpeg(&self.path, self.size, self.delay_ms)
                     .spawn()
-                    .map_err(|e| AnimationError::NoFfmpeg(self.path.clone(), e))?;
+                    .map_err(|reason| AnimationError::NoFfmpeg { path: self.path.clone(), reason })?;
                 *child = Some(started);
             }
         }
@@ -140,7 +150,19 @@ fn ffmpeg(path: &Path, (width, height): (usize, usize), delay_ms: u32) -> Comman
     let mut command = Command::new("ffmpeg");
     let rate = format!("1000/{}", delay_ms.max(1));
     let size = format!("{width}x{height}");
-    command.args(["-y", "-loglevel", "error", "-f", "rawvideo", "-pix_fmt", "rgb24", "-s", &size, "-r", &rate]);
+    command.args([
+        "-y",
+        "-loglevel",
+        "error",
+        "-f",
+        "rawvideo",
+        "-pix_fmt",
+        "rgb24",
+        "-s",
+        &size,
+        "-r",
+        &rate,
+    ]);
     command.args(["-i", "-"]);
     if path.extension().is_some_and(|e| e.eq_ignore_ascii_case("webp")) {
         command.args(["-loop", "0", "-quality", "80"]);

@@ -144,9 +144,8 @@ mod tests {
 
     #[test]
     fn half_of_a_dashed_line_is_missing() {
-        let count = |pen: &Pen| {
-            drawn([0.0, 10.0], [19.0, 10.0], pen).row(10).iter().filter(|p| p[0] > 0).count()
-        };
+        let count =
+            |pen: &Pen| drawn([0.0, 10.0], [19.0, 10.0], pen).row(10).iter().filter(|p| p[0] > 0).count();
         let (full, dashed) = (count(&PEN), count(&Pen { width: 1.0, dashed: true, ..PEN }));
         assert!(full == 20 && (8..=13).contains(&dashed), "{full} {dashed}");
     }

@@ -9,6 +9,7 @@ use marching_cubes::TriMesh;
 use nalgebra::{Isometry3, Point3, Vector3};
 use rgbd_io::{Error, Image, Intrinsics, Mask};
 
+pub(crate) use self::oriented_box::direction;
 pub use self::{
     animation::{Animation, AnimationError},
     oriented_box::OrientedBox,
@@ -17,7 +18,6 @@ use self::{
     canvas::{Canvas, Pen},
     silhouette::{outline, silhouette},
 };
-pub(crate) use self::oriented_box::direction;
 use crate::{output::OutputFolder, tracker::Status};
 
 /// Which things are drawn.
@@ -190,15 +190,14 @@ fn draw_box(canvas: &mut Canvas, bounds: &OrientedBox, view: &View<'_>, unit: f3
 /// The pixels between which a segment of the object frame appears; the part behind the camera is cut off.
 fn project_segment(view: &View<'_>, ends: [Point3<f64>; 2]) -> Option<[[f64; 2]; 2]> {
     const NEAR: f64 = 0.02;
-    let [mut a, mut b] = ends.map(|p| (view.cam_from_obj * p).coords);
+    let [a, b] = ends.map(|p| (view.cam_from_obj * p).coords);
     if a.z < NEAR && b.z < NEAR {
         return None;
     }
-    for (near, far) in [(&mut a, b), (&mut b, a)] {
-        if near.z < NEAR {
-            *near = far + (*near - far) * ((far.z - NEAR) / (far.z - near.z));
-        }
-    }
+    let cut = |near: Vector3<f64>, far: Vector3<f64>| {
+        if near.z < NEAR { far + (near - far) * ((far.z - NEAR) / (far.z - near.z)) } else { near }
+    };
+    let (a, b) = (cut(a, b), cut(b, a));
     Some([view.intrinsics.project(a.into())?, view.intrinsics.project(b.into())?])
 }
 
@@ -211,8 +210,18 @@ mod tests {
     fn cube() -> TriMesh {
         let corner = |i: usize| [0, 1, 2].map(|a| if i >> a & 1 == 1 { 0.05 } else { -0.05_f32 });
         let triangles = vec![
-            [0, 2, 1], [1, 2, 3], [4, 5, 6], [5, 7, 6], [0, 1, 4], [1, 5, 4],
-            [2, 6, 3], [3, 6, 7], [0, 4, 2], [2, 4, 6], [1, 3, 5], [3, 7, 5],
+            [0, 2, 1],
+            [1, 2, 3],
+            [4, 5, 6],
+            [5, 7, 6],
+            [0, 1, 4],
+            [1, 5, 4],
+            [2, 6, 3],
+            [3, 6, 7],
+            [0, 4, 2],
+            [2, 4, 6],
+            [1, 3, 5],
+            [3, 7, 5],
         ];
         TriMesh { vertices: (0..8).map(corner).collect(), triangles, ..TriMesh::default() }
     }

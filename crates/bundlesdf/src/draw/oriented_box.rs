@@ -74,8 +74,11 @@ pub(crate) fn direction(i: usize, n: usize) -> Vector3<f64> {
 /// The points that lie furthest out in some direction: the box around them is the box around all.
 fn extremes(points: &[[f32; 3]]) -> Vec<Vector3<f64>> {
     const DIRECTIONS: usize = 400;
-    let finite: Vec<Vector3<f64>> =
-        points.iter().map(|p| Vector3::from(*p).cast()).filter(|p| p.iter().all(|v| v.is_finite())).collect();
+    let finite: Vec<Vector3<f64>> = points
+        .iter()
+        .map(|p| Vector3::from(*p).cast::<f64>())
+        .filter(|p| p.iter().all(|v| v.is_finite()))
+        .collect();
     let mut chosen: Vec<Vector3<f64>> = (0..DIRECTIONS)
         .filter_map(|i| {
             let direction = direction(i, DIRECTIONS);
@@ -101,7 +104,9 @@ fn shrink(points: &[Vector3<f64>], start: UnitQuaternion<f64>) -> (UnitQuaternio
         });
         let next = turned.map(|r| (volume(&r), r)).min_by(|a, b| a.0.total_cmp(&b.0));
         match next {
-            Some((smaller, rotation)) if smaller < least * (1.0 - 1e-6) => (best, least) = (rotation, smaller),
+            Some((smaller, rotation)) if smaller < least * (1.0 - 1e-6) => {
+                (best, least) = (rotation, smaller)
+            }
             _ => step /= 2.0,
         }
     }

@@ -54,9 +54,7 @@ impl Results {
         let overlays = draw_overlays(folder, &report, &poses, &overlay);
         let scores = fs::read(folder.path().join("eval.json")).ok();
         let mut files: Vec<String> = fs::read_dir(folder.path())
-            .map(|entries| {
-                entries.flatten().map(|e| e.file_name().to_string_lossy().into_owned()).collect()
-            })
+            .map(|entries| entries.flatten().map(|e| e.file_name().to_string_lossy().into_owned()).collect())
             .unwrap_or_default();
         files.sort();
         Ok(Self {

@@ -91,8 +91,7 @@ mod tests {
     #[test]
     fn what_cannot_be_shown_is_none() {
         assert_eq!(vertex_colored_glb(&TriMesh::default()), None);
-        let broken =
-            TriMesh { vertices: vec![[0.0; 3]], triangles: vec![[0, 1, 2]], ..TriMesh::default() };
+        let broken = TriMesh { vertices: vec![[0.0; 3]], triangles: vec![[0, 1, 2]], ..TriMesh::default() };
         assert_eq!(vertex_colored_glb(&broken), None);
     }
 }

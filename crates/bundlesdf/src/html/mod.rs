@@ -1,7 +1,7 @@
 //! `report.html`: one file, without any request to the network, that shows what a run did.
 
-mod glb;
 mod gather;
+mod glb;
 mod losses;
 mod overlays;
 mod page;
@@ -32,7 +32,10 @@ pub fn write_page(folder: &OutputFolder) -> Result<PathBuf, Error> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{Config, RunReport, Schedule, VideoRun, tracker::{FieldSummary, Reconstruction}};
+    use crate::{
+        Config, RunReport, Schedule, VideoRun,
+        tracker::{FieldSummary, Reconstruction},
+    };
 
     fn empty_run() -> RunReport {
         let reconstruction =

@@ -87,11 +87,15 @@ fn head(name: &str, report: &RunReport, story: &Story) -> Markup {
 
 /// Seconds as a person says them.
 fn duration(seconds: f64) -> String {
-    if seconds < 120.0 { format!("{seconds:.1} s") } else { format!("{:.0} min {:.0} s", (seconds / 60.0).floor(), seconds % 60.0) }
+    if seconds < 120.0 {
+        format!("{seconds:.1} s")
+    } else {
+        format!("{:.0} min {:.0} s", (seconds / 60.0).floor(), seconds % 60.0)
+    }
 }
 
 fn tile(value: &str, unit: &str, what: &str) -> Markup {
-    html! { div.tile { dd { (value) @if !unit.is_empty() { small { " " (unit) } } } dt { (what) } } }
+    html! { div.tile.wide[value.len() > 12] { dd { (value) @if !unit.is_empty() { small { " " (unit) } } } dt { (what) } } }
 }
 
 fn tiles(results: &Results) -> Markup {
@@ -207,7 +211,8 @@ fn poses(results: &Results) -> Markup {
                 h2 { "Poses on the frames" }
                 p.lead {
                     "White: the box around the mesh (dashed behind it). Yellow: outline of the mesh, also where "
-                    "something hides it. Red, green, blue: x, y, z of the object. The outline should lie on the object's edge."
+                    "something hides it. Red, green, blue: x, y, z of the object. The outline should lie on the object's edge. "
+                    "The pictures show the part of the frame around the object."
                 }
                 @if let Some(problem) = &overlays.problem { p.note { (problem) } }
                 div.frames {
@@ -292,20 +297,23 @@ fn timings(report: &RunReport) -> Markup {
 }
 
 /// What the results folder may hold.
-const FILES: [(&str, &str); 13] = [
+const FILES: [(&str, &str); 16] = [
     ("ob_in_cam", "pose of every frame: 4\u{d7}4, object to camera"),
     ("ob_in_cam_refined", "the poses after the refinement over all frames"),
     ("masks", "mask that each frame was tracked with"),
     ("draw", "frames with overlays (bundlesdf draw)"),
-    ("mesh.glb", "mesh for the web, Blender, game engines"),
-    ("mesh.obj", "mesh for nearly every program"),
     ("mesh.ply", "mesh for MeshLab, Open3D, CloudCompare"),
-    ("mesh.stl", "mesh for printing and CAD, shape only"),
+    ("mesh.obj", "mesh for nearly every program"),
+    ("mesh.glb", "textured mesh for the web, Blender, game engines"),
+    ("textured.obj", "textured mesh for nearly every program"),
+    ("textured.ply", "mesh with confidence and number of observations"),
+    ("mesh.stl", "shape for printing and CAD"),
+    ("canonical.json", "where the upright, centred frame lies in the object frame"),
+    ("sim", "bodies for simulators: URDF and MJCF"),
+    ("export.json", "what the export did"),
     ("keyframes.json", "keyframes and their poses"),
     ("run.json", "everything on this page, for programs"),
     ("eval.json", "scores against the truth"),
-    ("object.urdf", "model for robot simulators"),
-    ("object.xml", "model for MuJoCo"),
 ];
 
 fn files(results: &Results) -> Markup {

@@ -54,7 +54,12 @@ pub(super) fn story(results: &Results) -> Story {
     let has_mesh = report.mesh.faces > 0;
     let verdict = if total == 0 || share(lost) > 0.25 || (!has_mesh && wants_mesh(results)) {
         Verdict::Poor
-    } else if share(lost) > 0.02 || share(weak) > 0.2 || report.interrupted || !report.warnings.is_empty() {
+    } else if share(lost) > 0.02
+        || share(weak) > 0.2
+        || (has_mesh && results.coverage() < 0.25)
+        || report.interrupted
+        || !report.warnings.is_empty()
+    {
         Verdict::Gaps
     } else {
         Verdict::Good
@@ -80,7 +85,7 @@ fn sentences(results: &Results) -> Vec<String> {
     } else {
         let mut parts = vec![format!("The object was tracked in {found} of {total} frames")];
         if weak > 0 {
-            parts.push(format!("{weak} poses are weak"));
+            parts.push(if weak == 1 { "one pose is weak".into() } else { format!("{weak} poses are weak") });
         }
         if lost > 0 {
             parts.push(format!("in {lost} it was lost"));
@@ -145,7 +150,10 @@ fn advice(results: &Results) -> Vec<Advice> {
         let needed = report.config.field.first_round_keyframes;
         match report.config.field.refiner {
             Refiner::Field if report.keyframes < needed => say(
-                format!("No mesh: {} keyframes are fewer than the {needed} that the field waits for.", report.keyframes),
+                format!(
+                    "No mesh: {} keyframes are fewer than the {needed} that the field waits for.",
+                    report.keyframes
+                ),
                 "Turn the object, or move around it: a keyframe is kept for every few degrees of a new view.",
             ),
             Refiner::Field => say(
@@ -171,13 +179,19 @@ fn advice(results: &Results) -> Vec<Advice> {
         );
     }
     for failure in &report.field.failures {
-        say(format!("A round of the field failed: {failure}."), "Tracking went on without it; poses may drift more.");
+        say(
+            format!("A round of the field failed: {failure}."),
+            "Tracking went on without it; poses may drift more.",
+        );
     }
     for warning in report.warnings.iter().chain(&results.problems) {
         say(format!("{warning}."), "A frame that could not be read counts as lost.");
     }
     if report.interrupted {
-        say("The run was stopped before the last frame.".into(), "What is here ends with the last frame tracked.");
+        say(
+            "The run was stopped before the last frame.".into(),
+            "What is here ends with the last frame tracked.",
+        );
     }
     list
 }

@@ -93,7 +93,12 @@ fn frame_of(title: &str, y: &Scale, marks: &[f64], label: impl Fn(f64) -> String
     }
 }
 
-fn middles(frames: &[FrameReport], x: &Scale, y: &Scale, value: impl Fn(&FrameReport) -> f64) -> Vec<[f64; 2]> {
+fn middles(
+    frames: &[FrameReport],
+    x: &Scale,
+    y: &Scale,
+    value: impl Fn(&FrameReport) -> f64,
+) -> Vec<[f64; 2]> {
     frames.iter().enumerate().map(|(i, f)| [x.at(i as f64 + 0.5), y.at(value(f))]).collect()
 }
 
@@ -121,8 +126,8 @@ fn agreement(frames: &[FrameReport], x: &Scale, top: f64) -> Markup {
 
 /// Stages on top of each other, so that the upper line is the whole frame.
 fn millis(frames: &[FrameReport], x: &Scale, top: f64) -> Markup {
-    // One slow frame would flatten all others: the axis ends a little above what nearly all of them take.
-    let most = quantile(frames.iter().map(|f| f.ms.total), 0.98) * 1.25;
+    // A few slow frames would flatten all others: the axis ends a little above what most of them take.
+    let most = quantile(frames.iter().map(|f| f.ms.total), 0.9) * 1.5;
     let y = Scale { from: [0.0, most.max(1.0)], to: [top + PANEL, top] };
     let sums: [fn(&FrameReport) -> f64; 5] = [
         |_| 0.0,
@@ -139,7 +144,7 @@ fn millis(frames: &[FrameReport], x: &Scale, top: f64) -> Markup {
             path class={ "stage-" (i) } d=(area_path(&pair[1], &pair[0])) {}
         }
         @for (i, name) in stages.into_iter().enumerate() {
-            @let at = RIGHT - 370.0 + 100.0 * i as f64;
+            @let at = RIGHT - 345.0 + 95.0 * i as f64;
             rect class={ "stage-" (i) } x=(num(at)) y=(num(top - 18.0)) width="10" height="10" rx="2" {}
             text.tick x=(num(at + 15.0)) y=(num(top - 9.0)) { (name) }
         }
@@ -151,7 +156,8 @@ fn data(frames: &[FrameReport]) -> String {
     let rows: Vec<_> = frames
         .iter()
         .map(|f| {
-            let t = [f.ms.segment, f.ms.matching, f.ms.posegraph, f.ms.total].map(|v| (v * 10.0).round() / 10.0);
+            let t =
+                [f.ms.segment, f.ms.matching, f.ms.posegraph, f.ms.total].map(|v| (v * 10.0).round() / 10.0);
             serde_json::json!([f.id, f.status.as_str(), f.inliers, f.depth_agreement, f.keyframe, t])
         })
         .collect();
