@@ -87,7 +87,7 @@ fn the_page_has_every_part_and_asks_the_network_for_nothing() {
     for part in [
         "tracked in 5 of 6 frames",
         "in 1 it was lost",
-        "Lost in one stretch (frame 000003)",
+        "Lost in frame 000003.",
         "training loss",
         "milliseconds per frame",
         "side of the first view",

@@ -2,6 +2,7 @@
 
 use super::{gather::Results, timeline::runs};
 use crate::{
+    RunReport, VideoInput,
     config::{Refiner, Schedule},
     tracker::Status,
 };
@@ -98,15 +99,16 @@ fn sentences(results: &Results) -> Vec<String> {
     let mut sentences = vec![first + "."];
     sentences.push(match (results.size_cm(), report.mesh.faces) {
         (Some([a, b, c]), faces) if faces > 0 => {
-            let surface = if report.mesh.watertight { "closed (watertight)" } else { "open where nothing was seen" };
+            let surface =
+                if report.mesh.watertight { "closed (watertight)" } else { "open where nothing was seen" };
             format!(
-                "From {} keyframes came a mesh of {} that is {surface}; the views cover {:.0} % of all directions.",
-                report.keyframes,
+                "From {} came a mesh of {} that is {surface}; the views cover {:.0} % of all directions.",
+                plural(report.keyframes, "keyframe"),
                 dimensions(a, b, c),
                 results.coverage() * 100.0
             )
         }
-        _ => format!("There is no mesh; {} keyframes were kept.", report.keyframes),
+        _ => format!("There is no mesh; the memory holds {}.", plural(report.keyframes, "keyframe")),
     });
     sentences
 }
@@ -126,86 +128,118 @@ fn times(count: usize) -> String {
 
 fn advice(results: &Results) -> Vec<Advice> {
     let report = &results.report;
-    let total = report.frames.len().max(1);
-    let mut list = Vec::new();
-    let mut say = |problem: String, remedy: &str| list.push(Advice { problem, remedy: remedy.into() });
-    let lost: Vec<_> = runs(&report.frames).into_iter().filter(|r| r.0 == Status::Lost).collect();
-    if let Some((_, start, end)) = lost.iter().max_by_key(|r| r.2 - r.1) {
-        say(
-            format!("Lost in {} ({}).", stretches(lost.len()), span(results, *start, *end)),
-            "Look at these frames: is the object hidden, out of the picture, closer than the camera measures, or \
-             blurred? If it is visible, compare its masks (bundlesdf draw OUT --what mask) and give better ones with \
-             --masks FOLDER. The pose of a lost frame is the last good one: don't use it.",
-        );
-    }
-    let weak = report.count(Status::Weak);
-    if weak * 5 > total {
-        say(
-            format!("{} % of the poses are weak.", weak * 100 / total),
-            "There is little texture or shape to hold on to, or the depth is noisy. Come closer (the object should \
-             fill a third of the picture), move more slowly, and avoid shiny surfaces.",
-        );
-    }
-    if report.mesh.faces == 0 && report.frames.len() > 1 {
-        let needed = report.config.field.first_round_keyframes;
-        match report.config.field.refiner {
-            Refiner::Field if report.keyframes < needed => say(
-                format!(
-                    "No mesh: {} keyframes are fewer than the {needed} that the field waits for.",
-                    report.keyframes
-                ),
-                "Turn the object, or move around it: a keyframe is kept for every few degrees of a new view.",
-            ),
-            Refiner::Field => say(
-                "No mesh: the field was never trained to the end.".into(),
-                "See the warnings below; run again without an interruption.",
-            ),
-            _ => say(
-                "No mesh: the Neural Object Field is switched off in the config.".into(),
-                "Leave out --ablate no-nof, or set field.refiner to \"field\".",
-            ),
-        }
-    } else if report.mesh.faces > 0 && results.coverage() < 0.5 {
-        say(
-            format!("Only {:.0} % of the directions were seen.", results.coverage() * 100.0),
-            "The unseen sides of the mesh are missing or guessed. Turn the object so that every side faces the camera.",
-        );
-    }
-    let slow = report.schedule == Schedule::Realtime && report.tracking_hz_median < 15.0;
-    if slow && report.tracking_hz_median > 0.0 {
-        say(
-            format!("Tracking ran at {:.1} frames per second.", report.tracking_hz_median),
-            "For a live camera, reduce the picture (preprocess.working_side) or use every second frame (--stride 2).",
-        );
-    }
+    let about_run = [lost(results), weak(report), no_mesh(report), unseen(results), slow(report)];
+    let mut list: Vec<Advice> = about_run.into_iter().flatten().collect();
     for failure in &report.field.failures {
-        say(
-            format!("A round of the field failed: {failure}."),
-            "Tracking went on without it; poses may drift more.",
-        );
+        let remedy = "Tracking went on without it; poses may drift more.";
+        list.push(Advice::new(format!("A round of the field failed: {failure}."), remedy));
     }
     for warning in report.warnings.iter().chain(&results.problems) {
-        say(format!("{warning}."), "A frame that could not be read counts as lost.");
+        list.push(Advice::new(format!("{warning}."), "A frame that could not be read counts as lost."));
     }
     if report.interrupted {
-        say(
-            "The run was stopped before the last frame.".into(),
-            "What is here ends with the last frame tracked.",
-        );
+        let remedy = "What is here ends with the last frame tracked.";
+        list.push(Advice::new("The run was stopped before the last frame.", remedy));
     }
     list
 }
 
-fn stretches(count: usize) -> String {
-    if count == 1 { "one stretch".into() } else { format!("{count} stretches") }
+impl Advice {
+    fn new(problem: impl Into<String>, remedy: impl Into<String>) -> Self {
+        Self { problem: problem.into(), remedy: remedy.into() }
+    }
 }
 
-/// The longest stretch, by the names of its frames.
-fn span(results: &Results, start: usize, end: usize) -> String {
-    let name = |i: usize| results.report.frames.get(i).map_or("", |f| f.id.as_str());
-    if end - start == 1 {
+fn lost(results: &Results) -> Option<Advice> {
+    let problem = losses(results)?;
+    let stride = match stride(&results.report) {
+        1 => String::new(),
+        n => format!("Only one frame in {n} was used: without --stride the object moves less in between. "),
+    };
+    let look = "Look at these frames: is the object hidden, out of the picture, closer than the camera measures, or \
+                blurred? If it is visible, compare its masks (bundlesdf draw OUT --what mask) and give better ones \
+                with --masks FOLDER. The pose of a lost frame is the last good one: don't use it.";
+    Some(Advice::new(problem, stride + look))
+}
+
+fn weak(report: &RunReport) -> Option<Advice> {
+    let (weak, total) = (report.count(Status::Weak), report.frames.len());
+    (weak * 5 > total).then(|| {
+        Advice::new(
+            format!("{} % of the poses are weak.", weak * 100 / total),
+            "There is little texture or shape to hold on to, or the depth is noisy. Come closer (the object should \
+             fill a third of the picture), move more slowly, and avoid shiny surfaces.",
+        )
+    })
+}
+
+fn no_mesh(report: &RunReport) -> Option<Advice> {
+    if report.mesh.faces > 0 || report.frames.len() < 2 {
+        return None;
+    }
+    let needed = report.config.field.first_round_keyframes;
+    Some(match report.config.field.refiner {
+        Refiner::Field if report.keyframes < needed => Advice::new(
+            format!("No mesh, with only {} in memory.", plural(report.keyframes, "keyframe")),
+            "Turn the object, or move around it: a keyframe is kept for every few degrees of a new view.",
+        ),
+        Refiner::Field => Advice::new(
+            "No mesh: the field was never trained to the end.",
+            "See the other points here; run again without an interruption.",
+        ),
+        Refiner::PoseGraph | Refiner::None => Advice::new(
+            "No mesh: the Neural Object Field is switched off in the config.",
+            "Leave out --ablate, or set field.refiner to \"field\".",
+        ),
+    })
+}
+
+fn unseen(results: &Results) -> Option<Advice> {
+    let coverage = results.coverage();
+    (results.report.mesh.faces > 0 && coverage < 0.5).then(|| {
+        Advice::new(
+            format!("Only {:.0} % of the directions were seen.", coverage * 100.0),
+            "The unseen sides of the mesh are missing or guessed. Turn the object so that every side faces the \
+             camera.",
+        )
+    })
+}
+
+fn slow(report: &RunReport) -> Option<Advice> {
+    let rate = report.tracking_hz_median;
+    (report.schedule == Schedule::Realtime && rate > 0.0 && rate < 15.0).then(|| {
+        Advice::new(
+            format!("Tracking ran at {rate:.1} frames per second."),
+            "For a live camera, reduce the picture (preprocess.working_side) or use every second frame (--stride 2).",
+        )
+    })
+}
+
+/// Where the object was lost; `None` when it never was.
+fn losses(results: &Results) -> Option<String> {
+    let frames = &results.report.frames;
+    let lost: Vec<_> = runs(frames).into_iter().filter(|r| r.0 == Status::Lost).collect();
+    let (_, start, end) = *lost.iter().max_by_key(|r| r.2 - r.1)?;
+    let name = |i: usize| frames.get(i).map_or("", |f| f.id.as_str());
+    let longest = if end - start == 1 {
         format!("frame {}", name(start))
     } else {
-        format!("the longest from frame {} to {}, {} frames", name(start), name(end - 1), end - start)
+        format!("frames {} to {} ({} of them)", name(start), name(end - 1), end - start)
+    };
+    Some(match lost.len() {
+        1 => format!("Lost in {longest}."),
+        n => format!("Lost {}, longest in {longest}.", times(n)),
+    })
+}
+
+/// Every how many frames of the video one was used.
+fn stride(report: &RunReport) -> usize {
+    match &report.input {
+        Some(VideoInput::Folder { stride, .. } | VideoInput::Dataset { stride, .. }) => *stride,
+        Some(VideoInput::Synthetic { .. }) | None => 1,
     }
+}
+
+fn plural(count: usize, thing: &str) -> String {
+    if count == 1 { format!("one {thing}") } else { format!("{count} {thing}s") }
 }

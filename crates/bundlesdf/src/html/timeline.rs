@@ -144,7 +144,7 @@ fn millis(frames: &[FrameReport], x: &Scale, top: f64) -> Markup {
             path class={ "stage-" (i) } d=(area_path(&pair[1], &pair[0])) {}
         }
         @for (i, name) in stages.into_iter().enumerate() {
-            @let at = RIGHT - 345.0 + 95.0 * i as f64;
+            @let at = RIGHT - 335.0 + [0.0, 105.0, 183.0, 272.0][i];
             rect class={ "stage-" (i) } x=(num(at)) y=(num(top - 18.0)) width="10" height="10" rx="2" {}
             text.tick x=(num(at + 15.0)) y=(num(top - 9.0)) { (name) }
         }
