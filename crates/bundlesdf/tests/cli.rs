@@ -79,7 +79,10 @@ fn a_finished_run_can_be_logged_reported_and_drawn() {
     let (dir, video) = video(5);
     let out = dir.path().join("out");
     let (input, results) = (video.to_str().unwrap(), out.to_str().unwrap());
-    let output = bundlesdf(&["run", input, "--out", results, "--json-log"]);
+    let config = dir.path().join("short.toml");
+    fs::write(&config, "[field]\nsteps = 20\nfinal_steps = 20\n").unwrap();
+    let config = config.to_str().unwrap();
+    let output = bundlesdf(&["run", input, "--out", results, "--config", config, "--json-log"]);
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let events: Vec<serde_json::Value> = String::from_utf8(output.stderr)
         .unwrap()
@@ -106,7 +109,7 @@ fn a_finished_run_can_be_logged_reported_and_drawn() {
     assert!(bundlesdf(&["draw", results, "--video", gif.to_str().unwrap()]).status.success());
     assert!(fs::read(&gif).unwrap().starts_with(b"GIF89a"));
     // A run that replaces this one leaves no drawings of it behind.
-    assert!(bundlesdf(&["run", input, "--out", results, "--force"]).status.success());
+    assert!(bundlesdf(&["run", input, "--out", results, "--config", config, "--force"]).status.success());
     assert!(files(&out.join("draw")).is_empty());
 }
 
