@@ -17,7 +17,7 @@ const FRAMES: usize = 12;
 /// Width of the pictures (pixels).
 const WIDTH: usize = 480;
 /// How much wider than the object the part of the frame is that is shown.
-const MARGIN: f64 = 2.0;
+const MARGIN: f64 = 1.7;
 const JPEG_QUALITY: u8 = 82;
 
 /// Pictures, and why there are fewer than there should be.
