@@ -29,6 +29,7 @@ pub mod config;
 mod depth;
 pub mod draw;
 pub mod evaluate;
+mod field_model;
 mod field_worker;
 mod global_graph;
 pub mod html;
