@@ -207,7 +207,10 @@ fn custom_places(args: &CustomArgs) -> anyhow::Result<Places> {
     let sequences = match &args.root {
         Some(root) => below(Benchmark::Custom, root, &args.how.videos)?,
         None => {
-            anyhow::ensure!(!args.dirs.is_empty(), "name sequence folders, or the folder of them with --root");
+            anyhow::ensure!(
+                !args.dirs.is_empty(),
+                "name sequence folders, or the folder of them with --root"
+            );
             args.dirs.iter().map(|dir| split(dir)).collect::<anyhow::Result<_>>()?
         }
     };

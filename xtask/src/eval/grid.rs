@@ -100,7 +100,9 @@ impl Grid {
             for cell in &row.cells {
                 let text = escape(&cell.text);
                 let text = if cell.best { format!("<b>{text}</b>") } else { text };
-                let bar = cell.bar.map(|b| format!(" class=\"bar\" style=\"--w:{:.1}%\"", 100.0 * b.clamp(0.0, 1.0)));
+                let bar = cell
+                    .bar
+                    .map(|b| format!(" class=\"bar\" style=\"--w:{:.1}%\"", 100.0 * b.clamp(0.0, 1.0)));
                 let _ = write!(out, "<td{}>{text}</td>", bar.unwrap_or_default());
             }
             out += "</tr>\n";
@@ -140,6 +142,9 @@ mod tests {
         let markdown = grid().markdown();
         assert!(markdown.contains("| a<b | **1.23** |\n| BundleTrack\\* | - |"), "{markdown}");
         let html = grid().html();
-        assert!(html.contains("a&lt;b") && html.contains("<b>1.23</b>") && html.contains("--w:50.0%"), "{html}");
+        assert!(
+            html.contains("a&lt;b") && html.contains("<b>1.23</b>") && html.contains("--w:50.0%"),
+            "{html}"
+        );
     }
 }

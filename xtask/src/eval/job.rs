@@ -73,7 +73,8 @@ impl Job {
 
     /// Name for messages.
     pub(super) fn title(&self) -> String {
-        let repeat = if self.asked.repeat > 0 { format!(" #{}", self.asked.repeat + 1) } else { String::new() };
+        let repeat =
+            if self.asked.repeat > 0 { format!(" #{}", self.asked.repeat + 1) } else { String::new() };
         format!("{} on {}{repeat}", self.asked.method.name(), self.asked.place.name)
     }
 

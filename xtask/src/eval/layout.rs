@@ -10,7 +10,8 @@ use super::video::Masks;
 pub(super) fn by_group(tables: &Tables, metric: Metric) -> Grid {
     let row = |name: &str, best: Vec<bool>, pick: &dyn Fn(&Column) -> Values, rule: bool| {
         let number = |(c, best): (&Column, bool)| Cell { best, ..Cell::number(metric.of(&pick(c)), 2) };
-        let cells = std::iter::once(Cell::new(name)).chain(tables.columns.iter().zip(best).map(number)).collect();
+        let cells =
+            std::iter::once(Cell::new(name)).chain(tables.columns.iter().zip(best).map(number)).collect();
         Row { cells, measured: false, rule }
     };
     let mut rows: Vec<Row> = tables
@@ -20,7 +21,8 @@ pub(super) fn by_group(tables: &Tables, metric: Metric) -> Grid {
         .map(|(g, name)| row(name, tables.best(Some(g), metric), &|c| c.values[g], false))
         .collect();
     rows.push(row("mean", tables.best(None, metric), &|c| c.mean, true));
-    let header = std::iter::once("video".to_owned()).chain(tables.columns.iter().map(|c| c.name.clone())).collect();
+    let header =
+        std::iter::once("video".to_owned()).chain(tables.columns.iter().map(|c| c.name.clone())).collect();
     Grid { title: format!("{} per video", metric.name()), header, rows }
 }
 
@@ -84,10 +86,12 @@ pub(super) fn ablations(tables: &Tables) -> Option<Grid> {
 /// Everything else about each run.
 pub(super) fn details(entries: &[Entry]) -> Grid {
     let header = [
-        "run", "ADD-S", "ADD", "CD", "CD+ICP", "CD seen", "mask J", "mask F", "lost", "Hz", "s/round", "wall s",
+        "run", "ADD-S", "ADD", "CD", "CD+ICP", "CD seen", "mask J", "mask F", "lost", "Hz", "s/round",
+        "wall s",
     ];
     let row = |entry: &Entry| {
-        let repeat = if entry.asked.repeat > 0 { format!(" #{}", entry.asked.repeat + 1) } else { String::new() };
+        let repeat =
+            if entry.asked.repeat > 0 { format!(" #{}", entry.asked.repeat + 1) } else { String::new() };
         let name = format!("{}, {}{repeat}", entry.asked.place.name, entry.asked.method.name());
         let score = entry.score.as_ref().ok();
         let number = |pick: fn(&super::score::Score) -> Option<f64>, digits| {
@@ -130,7 +134,9 @@ pub(super) fn notes(tables: &Tables, entries: &[Entry], masks: &Masks) -> Vec<St
          with only the visible part of the reconstruction. A perfect surface has about 0.11 cm."
             .into()
     });
-    if let Some(source) = published::source(benchmark).filter(|_| tables.columns.iter().any(|c| c.method.is_none())) {
+    if let Some(source) =
+        published::source(benchmark).filter(|_| tables.columns.iter().any(|c| c.method.is_none()))
+    {
         notes.push(format!("Published rows: {source}. Rows with (ours) are this project's own programs."));
     }
     notes.push(format!("Masks: {}.", masks.describe()));
@@ -141,7 +147,10 @@ pub(super) fn notes(tables: &Tables, entries: &[Entry], masks: &Masks) -> Vec<St
         );
     }
     if entries.iter().any(|e| e.score.as_ref().is_ok_and(|s| s.region_j.is_some())) {
-        notes.push("mask J, F: region similarity and contour accuracy against the true masks, percent (DAVIS).".into());
+        notes.push(
+            "mask J, F: region similarity and contour accuracy against the true masks, percent (DAVIS)."
+                .into(),
+        );
     }
     if tables.columns.iter().any(|c| c.cd_groups.is_some()) {
         notes.push("(n of m): only n videos have a surface, so that the mean isn't comparable.".into());

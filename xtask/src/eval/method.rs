@@ -41,18 +41,13 @@ impl Method {
         Self::all().into_iter().chain(Self::ablations()).find(|m| m.name().eq_ignore_ascii_case(name))
     }
 
-    /// Name in tables, where it stands beside published ones.
-    pub(super) fn label(self) -> String {
+    /// Name in tables; beside published numbers it says that these are measured.
+    pub(super) fn label(self, beside_published: bool) -> String {
         match self {
-            Self::Ablated(_) => format!("ours, {}", self.name()),
-            Self::Ours => "ours".into(),
-            _ => format!("{} (ours)", self.name()),
+            Self::Ablated(_) if beside_published => format!("ours, {}", self.name()),
+            Self::BundleTrack | Self::Baseline(_) if beside_published => format!("{} (ours)", self.name()),
+            _ => self.name().into(),
         }
-    }
-
-    /// Whether the pose of a frame depends on our configuration.
-    pub(super) fn uses_config(self) -> bool {
-        !matches!(self, Self::Baseline(_))
     }
 
     /// The methods that the two lists name; `all` stands for each list's whole. In the order of the known ones.

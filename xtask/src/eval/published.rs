@@ -60,7 +60,8 @@ fn parse(text: &str) -> anyhow::Result<Vec<Published>> {
 fn line(line: &str) -> anyhow::Result<Published> {
     let cells: Vec<&str> = line.split(',').map(str::trim).collect();
     let [group, method, add_s, add, cd] = cells[..] else { anyhow::bail!("\"{line}\" hasn't five cells") };
-    let number = |cell: &str| cell.parse::<f64>().with_context(|| format!("\"{line}\" has {cell} for a number"));
+    let number =
+        |cell: &str| cell.parse::<f64>().with_context(|| format!("\"{line}\" has {cell} for a number"));
     let cd_cm = if cd.is_empty() { None } else { Some(number(cd)?) };
     let (group, method) = (group.to_owned(), method.to_owned());
     Ok(Published { group, method, add_s: number(add_s)?, add: number(add)?, cd_cm })
@@ -73,7 +74,8 @@ mod tests {
     /// Mean over the groups of a column, and the published mean.
     fn means(table: &[Published], method: &str, column: fn(&Published) -> Option<f64>) -> (usize, f64, f64) {
         let of = |l: &&Published| l.method == method;
-        let values: Vec<f64> = table.iter().filter(of).filter(|l| l.group != MEAN).filter_map(column).collect();
+        let values: Vec<f64> =
+            table.iter().filter(of).filter(|l| l.group != MEAN).filter_map(column).collect();
         let published = table.iter().filter(of).find(|l| l.group == MEAN).and_then(column).unwrap();
         (values.len(), values.iter().sum::<f64>() / values.len() as f64, published)
     }

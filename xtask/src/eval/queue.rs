@@ -168,7 +168,8 @@ fn summary(job: &Job, outcome: &Outcome, took: Duration) -> String {
 /// The last line that the job has written, and how it ended.
 fn last_message(log: &Path, status: ExitStatus) -> String {
     let text = std::fs::read_to_string(log).unwrap_or_default();
-    let last = text.lines().rev().map(str::trim).find(|l| !l.is_empty()).unwrap_or("no message");
-    let last = last.strip_prefix("Error: ").unwrap_or(last);
+    // A panic ends with a hint.
+    let says_something = |l: &&str| !l.is_empty() && !l.starts_with("note: ");
+    let last = text.lines().rev().map(str::trim).find(says_something).unwrap_or("no message");
     format!("{last} ({status}, see {})", log.display())
 }

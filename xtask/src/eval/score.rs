@@ -4,8 +4,8 @@ use super::job::{Asked, read_json};
 use super::video::{Masks, Place};
 use anyhow::Context;
 use eval_metrics::{
-    BOUNDARY_TOLERANCE, Camera, MaskRef, MeshProtocol, MeshRef, ModelPoints, alignment, boundary_f, keep_faces,
-    region_similarity, score_mesh, score_poses, visible_faces,
+    BOUNDARY_TOLERANCE, Camera, MaskRef, MeshProtocol, MeshRef, ModelPoints, alignment, boundary_f,
+    keep_faces, region_similarity, score_mesh, score_poses, visible_faces,
 };
 use nalgebra::Isometry3;
 use rgbd_io::FrameSource;
@@ -127,15 +127,18 @@ pub(super) fn score(asked: &Asked, folder: &Path) -> anyhow::Result<Score> {
     let truth = Truth::read(&asked.place.open_unmasked()?)?;
     let poses = read_poses(&truth, &folder.join("ob_in_cam"));
     let model = ModelPoints::from_mesh(by_ref(&truth.mesh)).context("the true mesh has no surface")?;
-    let scores =
-        score_poses(&poses, &truth.known.cam_from_obj, &model, asked.place.benchmark.max_error());
+    let scores = score_poses(&poses, &truth.known.cam_from_obj, &model, asked.place.benchmark.max_error());
     let finite = |errors: Vec<f64>| errors.into_iter().map(|e| e.is_finite().then_some(e)).collect();
     let mut score = Score {
         add_s: scores.add_s_auc,
         add: scores.add_auc,
         lost: run.frames.iter().filter(|f| f.status == "lost").count(),
         hz: run.tracking_hz_median,
-        round_s: run.field.ms_per_round_median.filter(|ms| run.field.rounds > 0 && *ms > 0.0).map(|ms| ms / 1e3),
+        round_s: run
+            .field
+            .ms_per_round_median
+            .filter(|ms| run.field.rounds > 0 && *ms > 0.0)
+            .map(|ms| ms / 1e3),
         wall_s: run.wall_s,
         errors: Errors {
             frames: scores.frames,

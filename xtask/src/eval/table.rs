@@ -70,7 +70,11 @@ impl Tables {
             }
         }
         let mut columns = published_columns(benchmark, &groups, published);
-        columns.extend(methods.into_iter().map(|method| measured(benchmark, method, &groups, entries)));
+        let beside_published = !columns.is_empty();
+        columns.extend(methods.into_iter().map(|method| Column {
+            name: method.label(beside_published),
+            ..measured(benchmark, method, &groups, entries)
+        }));
         Self { benchmark, groups, columns, ablations }
     }
 
@@ -133,7 +137,11 @@ fn published_columns(benchmark: Benchmark, groups: &[String], lines: &[Published
     let in_paper: Vec<&str> = lines.iter().map(|l| l.group.as_str()).filter(|g| *g != MEAN).collect();
     let is_whole = in_paper.iter().all(|g| groups.iter().any(|own| own == g));
     let mut names: Vec<&str> = Vec::new();
-    lines.iter().for_each(|l| if !names.contains(&l.method.as_str()) { names.push(&l.method) });
+    lines.iter().for_each(|l| {
+        if !names.contains(&l.method.as_str()) {
+            names.push(&l.method)
+        }
+    });
     let column = |name: &str| {
         let of = |group: &str| lines.iter().find(|l| l.method == name && l.group == group).map(Values::from);
         let values: Vec<Values> = groups.iter().map(|g| of(g).unwrap_or_default()).collect();
@@ -178,7 +186,7 @@ fn measured(benchmark: Benchmark, method: Method, groups: &[String], entries: &[
         (mean.add_s, mean.add) = (together.add_s, together.add);
     }
     Column {
-        name: method.label(),
+        name: method.name().into(),
         method: Some(method),
         values,
         mean,

@@ -13,9 +13,17 @@ fn asked(benchmark: Benchmark, video: &str, method: Method, repeat: u64) -> Aske
 }
 
 /// A run with the same ADD and ADD-S error in every frame.
-fn run(benchmark: Benchmark, video: &str, method: Method, error: f64, frames: usize, cd: Option<f64>) -> Entry {
+fn run(
+    benchmark: Benchmark,
+    video: &str,
+    method: Method,
+    error: f64,
+    frames: usize,
+    cd: Option<f64>,
+) -> Entry {
     let errors = vec![Some(error); frames];
-    let errors = Errors { frames: (0..frames).collect(), add: errors.clone(), add_s: errors, ..Errors::default() };
+    let errors =
+        Errors { frames: (0..frames).collect(), add: errors.clone(), add_s: errors, ..Errors::default() };
     let score = Score { cd_cm: cd, cd_icp_cm: cd.map(|c| c / 2.0), errors, ..Score::default() };
     Entry { asked: asked(benchmark, video, method, 0), score: Ok(score), other_build: None }
 }

@@ -6,7 +6,8 @@ use super::video::{Masks, Video};
 use anyhow::Context;
 use baselines::{Baseline, BaselineConfig, PoseFusion};
 use bundlesdf::{
-    FrameResult, Observer, OutputFolder, RunReport, Schedule, Status, Tracker, VideoInput, VideoRun, run_video,
+    FrameResult, Observer, OutputFolder, RunReport, Schedule, Status, Tracker, VideoInput, VideoRun,
+    run_video,
 };
 use marching_cubes::TriMesh;
 use rgbd_io::FrameSource;

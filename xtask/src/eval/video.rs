@@ -81,7 +81,9 @@ impl Place {
     pub(super) fn open(&self, masks: &Masks) -> anyhow::Result<Video> {
         let (source, first_only) = match masks {
             Masks::Folder(folder) => (MaskSource::Folder(self.folder(folder)), false),
-            Masks::Given if self.is_folder() => (MaskSource::Folder(self.complete_masks(synth::GIVEN)?), false),
+            Masks::Given if self.is_folder() => {
+                (MaskSource::Folder(self.complete_masks(synth::GIVEN)?), false)
+            }
             Masks::Given => (MaskSource::All, false),
             Masks::First if self.is_folder() => match self.first_masks()? {
                 Some(folder) => (MaskSource::Folder(folder), true),
@@ -94,8 +96,11 @@ impl Place {
 
     /// Opens it with the true masks of every frame.
     pub(super) fn open_true_masks(&self) -> anyhow::Result<DatasetSequence> {
-        let masks =
-            if self.is_folder() { MaskSource::Folder(self.complete_masks(ORIGINAL)?) } else { MaskSource::All };
+        let masks = if self.is_folder() {
+            MaskSource::Folder(self.complete_masks(ORIGINAL)?)
+        } else {
+            MaskSource::All
+        };
         Ok(self.open_with(masks)?)
     }
 
@@ -115,7 +120,8 @@ impl Place {
         let mut found = Vec::new();
         for name in [preferred, ORIGINAL, DERIVED] {
             let dir = frames.path().join(name);
-            let count = (0..frames.len()).filter(|i| dir.join(format!("{}.png", frames.id(*i))).is_file()).count();
+            let count =
+                (0..frames.len()).filter(|i| dir.join(format!("{}.png", frames.id(*i))).is_file()).count();
             if count == frames.len() {
                 return Ok(PathBuf::from(name));
             }
@@ -177,7 +183,8 @@ mod tests {
         for (name, ids, columns) in [(ORIGINAL, original, 4), (DERIVED, derived, 8)] {
             fs::create_dir_all(folder.join(name)).unwrap();
             let mask = Image::from_fn(32, 24, |x, _| if x < columns { 255 } else { 0 });
-            ids.iter().for_each(|id| write_png_mask(&folder.join(name).join(format!("{id}.png")), &mask).unwrap());
+            ids.iter()
+                .for_each(|id| write_png_mask(&folder.join(name).join(format!("{id}.png")), &mask).unwrap());
         }
         let (root, name) = (dir.to_owned(), "seq".to_owned());
         Place { benchmark: Benchmark::Custom, root, name, models: None, object: None, stride: 1 }
@@ -218,7 +225,9 @@ mod tests {
         let run = dir.path().join("run");
         fs::create_dir_all(run.join("seq/masks")).unwrap();
         let mask = Image::from_fn(32, 24, |x, _| if x < 6 { 255 } else { 0 });
-        ["0000", "0001"].iter().for_each(|id| write_png_mask(&run.join(format!("seq/masks/{id}.png")), &mask).unwrap());
+        ["0000", "0001"]
+            .iter()
+            .for_each(|id| write_png_mask(&run.join(format!("seq/masks/{id}.png")), &mask).unwrap());
         assert_eq!(columns(&place, run.to_str().unwrap()).unwrap(), [Some(6), Some(6)]);
     }
 }

@@ -55,22 +55,29 @@ fn html(tables: &Tables, entries: &[Entry], notes: &[String], build: &Build) -> 
     let mut out = format!(
         "<!doctype html>\n<html lang=\"en\"><head><meta charset=\"utf-8\"><meta name=\"viewport\" \
          content=\"width=device-width, initial-scale=1\">\n<title>{title}</title>\n<style>\n{STYLE}</style></head>\n\
-         <body><main>\n<h1>{title}</h1>\n<p class=\"sub\">{done} of {} runs on {videos} sequences · bundlesdf \
+         <body><main>\n<h1>{title}</h1>\n<p class=\"sub\">{done} of {} runs, {videos} {} · bundlesdf \
          {}{commit}</p>\n",
         entries.len(),
+        if videos == 1 { "sequence" } else { "sequences" },
         build.version
     );
     out += &failures(entries);
     out += &tiles(tables, entries);
-    let _ = write!(out, "<div class=\"two\"><section class=\"card\">{}</section>", layout::means(tables).html());
+    let _ =
+        write!(out, "<div class=\"two\"><section class=\"card\">{}</section>", layout::means(tables).html());
     let colors = Palette::new(entries);
-    let _ = write!(out, "<section class=\"card\">{}</section></div>\n", recall(tables.benchmark, entries, &colors));
+    let _ = write!(
+        out,
+        "<section class=\"card\">{}</section></div>\n",
+        recall(tables.benchmark, entries, &colors)
+    );
     for grid in layout::ablations(tables).into_iter().chain(layout::pooled(tables)) {
         let _ = writeln!(out, "<section class=\"card\" style=\"margin-top:14px\">{}</section>", grid.html());
     }
     out += "<h2>Per video</h2>\n";
     for metric in Metric::ALL {
-        let _ = writeln!(out, "<section class=\"card\">{}</section>", layout::by_group(tables, metric).html());
+        let _ =
+            writeln!(out, "<section class=\"card\">{}</section>", layout::by_group(tables, metric).html());
     }
     out += "<h2>Errors over time</h2>\n";
     out += &colors.legend();
@@ -115,15 +122,23 @@ fn tiles(tables: &Tables, entries: &[Entry]) -> String {
             standing(tables, first, metric)
         );
     }
-    let own = || entries.iter().filter(|e| Some(e.asked.method) == first.method).filter_map(|e| e.score.as_ref().ok());
+    let own = || {
+        entries.iter().filter(|e| Some(e.asked.method) == first.method).filter_map(|e| e.score.as_ref().ok())
+    };
     let (lost, frames): (usize, usize) =
         own().fold((0, 0), |(l, f), s| (l + s.lost, f + s.errors.frames.len()));
     let mut rates: Vec<f64> = own().filter_map(|s| s.hz).collect();
     rates.sort_by(f64::total_cmp);
     if let Some(hz) = rates.get(rates.len() / 2) {
-        let _ = write!(out, "<div class=\"tile\"><span>tracking</span><b>{hz:.0} Hz</b><span>median video</span></div>");
+        let _ = write!(
+            out,
+            "<div class=\"tile\"><span>tracking</span><b>{hz:.0} Hz</b><span>median video</span></div>"
+        );
     }
-    let _ = write!(out, "<div class=\"tile\"><span>lost frames</span><b>{lost}</b><span>of {frames}</span></div>");
+    let _ = write!(
+        out,
+        "<div class=\"tile\"><span>lost frames</span><b>{lost}</b><span>of {frames}</span></div>"
+    );
     out + "</div>\n"
 }
 
@@ -143,7 +158,7 @@ fn standing(tables: &Tables, own: &Column, metric: Metric) -> String {
     }
 }
 
-/// Which colour each method has.
+/// The methods of the page. Each has the same colour on every page.
 struct Palette(Vec<Method>);
 
 impl Palette {
@@ -158,7 +173,8 @@ impl Palette {
     }
 
     fn of(&self, method: Method) -> usize {
-        self.0.iter().position(|m| *m == method).unwrap_or(0) % COLORS
+        let mut known = Method::all().into_iter().chain(Method::ablations());
+        known.position(|m| m == method).unwrap_or(0) % COLORS
     }
 
     fn legend(&self) -> String {
@@ -173,7 +189,8 @@ fn recall(benchmark: Benchmark, entries: &[Entry], colors: &Palette) -> String {
     let thresholds: Vec<f64> = (0..=100).map(|i| limit * f64::from(i) / 100.0).collect();
     let chart = |title: &str, pick: &dyn Fn(&Score) -> &Vec<Option<f64>>| {
         let series = colors.0.iter().map(|&method| {
-            let own = entries.iter().filter(|e| e.asked.method == method).filter_map(|e| e.score.as_ref().ok());
+            let own =
+                entries.iter().filter(|e| e.asked.method == method).filter_map(|e| e.score.as_ref().ok());
             let errors: Vec<f64> =
                 own.flat_map(|s| pick(s).iter().map(|e| e.unwrap_or(f64::INFINITY))).collect();
             let recall = recall_curve(&errors, &thresholds);
@@ -193,12 +210,22 @@ fn recall(benchmark: Benchmark, entries: &[Entry], colors: &Palette) -> String {
     };
     let add = chart("recall by ADD, all frames", &|s| &s.errors.add);
     let add_s = chart("recall by ADD-S, all frames", &|s| &s.errors.add_s);
-    format!("{}{add}{add_s}", colors.legend().replace("class=\"legend\"", "class=\"legend\" style=\"position:static;background:none;padding:0\""))
+    format!(
+        "{}{add}{add_s}",
+        colors.legend().replace(
+            "class=\"legend\"",
+            "class=\"legend\" style=\"position:static;background:none;padding:0\""
+        )
+    )
 }
 
 fn videos_over_time(benchmark: Benchmark, entries: &[Entry], colors: &Palette) -> String {
     let mut names: Vec<&str> = Vec::new();
-    entries.iter().for_each(|e| if !names.contains(&e.asked.place.name.as_str()) { names.push(&e.asked.place.name) });
+    entries.iter().for_each(|e| {
+        if !names.contains(&e.asked.place.name.as_str()) {
+            names.push(&e.asked.place.name)
+        }
+    });
     let open = if names.len() <= OPEN_VIDEOS { " open" } else { "" };
     let mut out = String::new();
     for name in names {
@@ -215,7 +242,9 @@ fn videos_over_time(benchmark: Benchmark, entries: &[Entry], colors: &Palette) -
         let charts = [
             over_time("ADD", " cm", 100.0, limit, &scores, colors, |s| &s.errors.add),
             over_time("translation", " cm", 100.0, limit, &scores, colors, |s| &s.errors.translation),
-            over_time("rotation", "°", 180.0 / std::f64::consts::PI, 0.8, &scores, colors, |s| &s.errors.rotation),
+            over_time("rotation", "°", 180.0 / std::f64::consts::PI, 0.8, &scores, colors, |s| {
+                &s.errors.rotation
+            }),
         ];
         let _ = writeln!(
             out,
@@ -240,7 +269,8 @@ fn over_time(
 ) -> String {
     let all = scores.iter().flat_map(|(_, s)| pick(s)).flatten();
     let largest = all.copied().fold(0.0, f64::max).min(limit).max(0.05 * limit);
-    let x_max = scores.iter().filter_map(|(_, s)| s.errors.frames.last()).max().map_or(1.0, |n| (*n).max(1) as f64);
+    let x_max =
+        scores.iter().filter_map(|(_, s)| s.errors.frames.last()).max().map_or(1.0, |n| (*n).max(1) as f64);
     let series = scores.iter().map(|&(method, score)| {
         let frames = score.errors.frames.iter().map(|f| *f as f64);
         let points: Vec<_> = frames.zip(pick(score).iter().map(|e| e.map(|e| e * factor))).collect();

@@ -151,12 +151,16 @@ mod tests {
         assert_eq!(ticks(1.0, 5), [0.0, 0.2, 0.4, 0.6000000000000001, 0.8, 1.0]);
         assert_eq!(ticks(239.0, 5), [0.0, 50.0, 100.0, 150.0, 200.0]);
         assert_eq!(ticks(f64::NAN, 5), [0.0]);
-        assert_eq!((short(2.5), short(10.0), short(0.6000000000000001)), ("2.5".into(), "10".into(), "0.6".into()));
+        assert_eq!(
+            (short(2.5), short(10.0), short(0.6000000000000001)),
+            ("2.5".into(), "10".into(), "0.6".into())
+        );
     }
 
     #[test]
     fn a_line_has_gaps_and_stays_inside() {
-        let points = vec![(0.0, Some(0.0)), (1.0, None), (2.0, Some(99.0)), (3.0, Some(f64::NAN)), (4.0, Some(5.0))];
+        let points =
+            vec![(0.0, Some(0.0)), (1.0, None), (2.0, Some(99.0)), (3.0, Some(f64::NAN)), (4.0, Some(5.0))];
         let chart = Chart {
             title: "a < b".into(),
             x_label: "x".into(),
