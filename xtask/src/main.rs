@@ -21,7 +21,7 @@ enum Command {
     /// under the published ones.
     Eval {
         #[command(subcommand)]
-        target: eval::Target,
+        target: Box<eval::Target>,
     },
     /// Check the rules of the tree: layers, docs, file sizes, what code may touch.
     Tidy,

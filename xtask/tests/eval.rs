@@ -43,6 +43,7 @@ fn eval(dataset: &str, root: &Path, out: &Path, more: &[&str]) -> (Output, Value
         .arg("--json")
         .arg(&json)
         .args(more)
+        .env_remove("RUST_BACKTRACE")
         .output()
         .unwrap();
     let scores = std::fs::read_to_string(&json).map_or(Value::Null, |t| serde_json::from_str(&t).unwrap());

@@ -71,8 +71,10 @@ fn line(line: &str) -> anyhow::Result<Published> {
 mod tests {
     use super::*;
 
-    /// Mean over the groups of a column, and the published mean.
-    fn means(table: &[Published], method: &str, column: fn(&Published) -> Option<f64>) -> (usize, f64, f64) {
+    type Pick = fn(&Published) -> Option<f64>;
+
+    /// Number of groups, their mean of a column, and the published mean.
+    fn means(table: &[Published], method: &str, column: Pick) -> (usize, f64, f64) {
         let of = |l: &&Published| l.method == method;
         let values: Vec<f64> =
             table.iter().filter(of).filter(|l| l.group != MEAN).filter_map(column).collect();
@@ -85,7 +87,7 @@ mod tests {
     fn ho3d_means_come_from_the_videos() {
         let table = table(Benchmark::Ho3d).unwrap();
         assert_eq!(table.len(), 14 * 6);
-        let columns: [(&str, fn(&Published) -> Option<f64>); 3] =
+        let columns: [(&str, Pick); 3] =
             [("ADD-S", |l| Some(l.add_s)), ("ADD", |l| Some(l.add)), ("CD", |l| l.cd_cm)];
         let mut off = Vec::new();
         for method in ["DROID-SLAM", "BundleTrack", "KinectFusion", "NICE-SLAM", "SDF-2-SDF", "BundleSDF"] {

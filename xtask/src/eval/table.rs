@@ -155,6 +155,13 @@ fn published_columns(benchmark: Benchmark, groups: &[String], lines: &[Published
     names.into_iter().map(column).collect()
 }
 
+/// One repeat of a method over all videos.
+struct Pass {
+    groups: Vec<Values>,
+    /// All frames pooled.
+    together: Values,
+}
+
 fn measured(benchmark: Benchmark, method: Method, groups: &[String], entries: &[Entry]) -> Column {
     let own: Vec<&Entry> = entries.iter().filter(|e| e.asked.method == method).collect();
     let mut repeats: Vec<u64> = own.iter().map(|e| e.asked.repeat).collect();
@@ -172,15 +179,13 @@ fn measured(benchmark: Benchmark, method: Method, groups: &[String], entries: &[
             pooled(benchmark, &members, entries)
         };
         let all: Vec<&Entry> = own.iter().filter(of).copied().collect();
-        let values: Vec<Values> = groups.iter().map(group).collect();
-        (values, pooled(benchmark, &all, entries))
+        Pass { groups: groups.iter().map(group).collect(), together: pooled(benchmark, &all, entries) }
     };
-    let runs: Vec<(Vec<Values>, Values)> = repeats.into_iter().map(of_repeat).collect();
-    let over_runs = |pick: &dyn Fn(&(Vec<Values>, Values)) -> Values| {
-        mean_of_groups(&runs.iter().map(pick).collect::<Vec<_>>()).0
-    };
-    let values: Vec<Values> = (0..groups.len()).map(|g| over_runs(&|run| run.0[g])).collect();
-    let together = over_runs(&|run| run.1);
+    let passes: Vec<Pass> = repeats.into_iter().map(of_repeat).collect();
+    let over_passes =
+        |pick: &dyn Fn(&Pass) -> Values| mean_of_groups(&passes.iter().map(pick).collect::<Vec<_>>()).0;
+    let values: Vec<Values> = (0..groups.len()).map(|g| over_passes(&|pass| pass.groups[g])).collect();
+    let together = over_passes(&|pass| pass.together);
     let (mut mean, with_cd) = mean_of_groups(&values);
     if benchmark.mean_of() == MeanOf::Frames {
         (mean.add_s, mean.add) = (together.add_s, together.add);

@@ -3,7 +3,7 @@
 use super::benchmark::Benchmark;
 use super::synth;
 use rgbd_io::datasets::{DatasetOptions, DatasetSequence};
-use rgbd_io::{Error, FrameSource, MaskSource, RgbdFrame};
+use rgbd_io::{Error, FrameSource, Mask, MaskSource, RgbdFrame};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
@@ -79,19 +79,17 @@ impl Place {
 
     /// Opens it for tracking.
     pub(super) fn open(&self, masks: &Masks) -> anyhow::Result<Video> {
-        let (source, first_only) = match masks {
-            Masks::Folder(folder) => (MaskSource::Folder(self.folder(folder)), false),
-            Masks::Given if self.is_folder() => {
-                (MaskSource::Folder(self.complete_masks(synth::GIVEN)?), false)
+        let source = match masks {
+            Masks::Folder(folder) => MaskSource::Folder(self.folder(folder)),
+            Masks::Given if self.is_folder() => MaskSource::Folder(self.complete_masks(synth::GIVEN)?),
+            Masks::Given => MaskSource::All,
+            Masks::First => {
+                let source = if self.is_folder() { self.first_masks()? } else { MaskSource::First };
+                let first_mask = self.open_with(source)?.frame(0)?.mask;
+                return Ok(Video { frames: self.open_unmasked()?, first_mask });
             }
-            Masks::Given => (MaskSource::All, false),
-            Masks::First if self.is_folder() => match self.first_masks()? {
-                Some(folder) => (MaskSource::Folder(folder), true),
-                None => (MaskSource::First, true),
-            },
-            Masks::First => (MaskSource::First, true),
         };
-        Ok(Video { frames: self.open_with(source)?, first_only })
+        Ok(Video { frames: self.open_with(source)?, first_mask: None })
     }
 
     /// Opens it with the true masks of every frame.
@@ -130,12 +128,12 @@ impl Place {
         anyhow::bail!("{}; give the folder of a complete set with --masks FOLDER", found[1..].join(", "))
     }
 
-    /// The folder that has the first frame's mask.
-    fn first_masks(&self) -> anyhow::Result<Option<PathBuf>> {
+    /// The folder that has the first frame's mask; without one, the place where it belongs.
+    fn first_masks(&self) -> anyhow::Result<MaskSource> {
         let frames = self.open_unmasked()?;
-        let file = format!("{}.png", frames.id(0));
-        let folder = [ORIGINAL, DERIVED].into_iter().find(|d| frames.path().join(d).join(&file).is_file());
-        Ok(folder.map(PathBuf::from))
+        let has_first = |d: &&str| frames.path().join(d).join(format!("{}.png", frames.id(0))).is_file();
+        let folder = [ORIGINAL, DERIVED].into_iter().find(has_first);
+        Ok(folder.map_or(MaskSource::First, |folder| MaskSource::Folder(folder.into())))
     }
 }
 
@@ -143,8 +141,8 @@ impl Place {
 #[derive(Debug)]
 pub(super) struct Video {
     frames: DatasetSequence,
-    /// Masks after the first frame's are held back.
-    first_only: bool,
+    /// The only mask, where one alone was asked for.
+    first_mask: Option<Mask>,
 }
 
 impl FrameSource for Video {
@@ -158,8 +156,8 @@ impl FrameSource for Video {
 
     fn frame(&self, index: usize) -> Result<RgbdFrame, Error> {
         let mut frame = self.frames.frame(index)?;
-        if self.first_only && index > 0 {
-            frame.mask = None;
+        if let Some(mask) = self.first_mask.as_ref().filter(|_| index == 0) {
+            frame.mask = Some(mask.clone());
         }
         Ok(frame)
     }

@@ -66,9 +66,9 @@ fn html(tables: &Tables, entries: &[Entry], notes: &[String], build: &Build) -> 
     let _ =
         write!(out, "<div class=\"two\"><section class=\"card\">{}</section>", layout::means(tables).html());
     let colors = Palette::new(entries);
-    let _ = write!(
+    let _ = writeln!(
         out,
-        "<section class=\"card\">{}</section></div>\n",
+        "<section class=\"card\">{}</section></div>",
         recall(tables.benchmark, entries, &colors)
     );
     for grid in layout::ablations(tables).into_iter().chain(layout::pooled(tables)) {
