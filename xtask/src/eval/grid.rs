@@ -28,6 +28,8 @@ pub(super) struct Row {
     pub(super) cells: Vec<Cell>,
     /// Measured by this project, not published.
     pub(super) measured: bool,
+    /// Of our own system.
+    pub(super) own: bool,
     /// Set apart from the lines above.
     pub(super) rule: bool,
 }
@@ -94,7 +96,7 @@ impl Grid {
         self.header.iter().for_each(|h| out += &format!("<th>{}</th>", escape(h)));
         out += "</tr></thead>\n<tbody>\n";
         for row in &self.rows {
-            let classes = [(row.measured, "measured"), (row.rule, "rule")];
+            let classes = [(row.measured, "measured"), (row.own, "own"), (row.rule, "rule")];
             let classes: Vec<&str> = classes.iter().filter(|(on, _)| *on).map(|(_, c)| *c).collect();
             let _ = write!(out, "<tr class=\"{}\">", classes.join(" "));
             for cell in &row.cells {
@@ -122,7 +124,12 @@ mod tests {
 
     fn grid() -> Grid {
         let best = Cell { best: true, bar: Some(0.5), ..Cell::number(Some(1.234), 2) };
-        let row = |name: &str, cell, rule| Row { cells: vec![Cell::new(name), cell], measured: rule, rule };
+        let row = |name: &str, cell, rule| Row {
+            cells: vec![Cell::new(name), cell],
+            measured: rule,
+            own: false,
+            rule,
+        };
         let rows = vec![row("a<b", best, false), row("BundleTrack*", Cell::number(None, 2), true)];
         Grid { title: "T".into(), header: vec!["method".into(), "ADD".into()], rows }
     }

@@ -12,7 +12,7 @@ pub(super) fn by_group(tables: &Tables, metric: Metric) -> Grid {
         let number = |(c, best): (&Column, bool)| Cell { best, ..Cell::number(metric.of(&pick(c)), 2) };
         let cells =
             std::iter::once(Cell::new(name)).chain(tables.columns.iter().zip(best).map(number)).collect();
-        Row { cells, measured: false, rule }
+        Row { cells, measured: false, own: false, rule }
     };
     let mut rows: Vec<Row> = tables
         .groups
@@ -45,7 +45,8 @@ pub(super) fn means(tables: &Tables) -> Grid {
         }
         let rule = column.method.is_some() && !measured;
         measured |= column.method.is_some();
-        rows.push(Row { cells, measured: column.method.is_some(), rule });
+        let own = column.method == Some(Method::Ours);
+        rows.push(Row { cells, measured: column.method.is_some(), own, rule });
     }
     let header = ["method", "ADD-S", "ADD", "CD cm"].map(str::to_owned).to_vec();
     Grid { title: format!("{}: mean", tables.benchmark.title()), header, rows }
@@ -57,7 +58,7 @@ pub(super) fn pooled(tables: &Tables) -> Option<Grid> {
         let values = column.pooled?;
         let numbers = [values.add_s, values.add].map(|v| Cell::number(v, 2));
         let cells = std::iter::once(Cell::new(column.name.clone())).chain(numbers).collect();
-        Some(Row { cells, measured: true, rule: false })
+        Some(Row { cells, measured: true, own: column.method == Some(Method::Ours), rule: false })
     };
     let header = ["method", "ADD-S", "ADD"].map(str::to_owned).to_vec();
     let rows = tables.columns.iter().filter_map(row).collect();
@@ -74,11 +75,15 @@ pub(super) fn ablations(tables: &Tables) -> Option<Grid> {
     let row = |name: &str, values: Values, measured: bool, rule: bool| {
         let numbers = Metric::ALL.map(|metric| Cell::number(metric.of(&values), 2));
         let cells = std::iter::once(Cell::new(name)).chain(numbers).collect();
-        Row { cells, measured, rule }
+        Row { cells, measured, own: false, rule }
     };
     let mut rows: Vec<Row> =
         tables.ablations.iter().map(|l| row(&l.method, Values::from(l), false, false)).collect();
-    rows.extend(own.iter().enumerate().map(|(i, c)| row(&c.name, c.mean, true, i == 0)));
+    rows.extend(
+        own.iter()
+            .enumerate()
+            .map(|(i, c)| Row { own: c.method == Some(Method::Ours), ..row(&c.name, c.mean, true, i == 0) }),
+    );
     let header = ["method", "ADD-S", "ADD", "CD cm"].map(str::to_owned).to_vec();
     Some(Grid { title: "ablations, beside the paper's table 4 (13 videos)".into(), header, rows })
 }
@@ -111,7 +116,7 @@ pub(super) fn details(entries: &[Entry]) -> Grid {
             number(|s| s.round_s, 1),
             number(|s| s.wall_s, 0),
         ];
-        Row { cells, measured: false, rule: false }
+        Row { cells, measured: false, own: false, rule: false }
     };
     let (header, rows) = (header.map(str::to_owned).to_vec(), entries.iter().map(row).collect());
     Grid { title: "runs".into(), header, rows }

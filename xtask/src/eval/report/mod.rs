@@ -71,9 +71,12 @@ fn html(tables: &Tables, entries: &[Entry], notes: &[String], build: &Build) -> 
         "<section class=\"card\">{}</section></div>",
         recall(tables.benchmark, entries, &colors)
     );
-    for grid in layout::ablations(tables).into_iter().chain(layout::pooled(tables)) {
-        let _ = writeln!(out, "<section class=\"card\" style=\"margin-top:14px\">{}</section>", grid.html());
-    }
+    let more: Vec<String> = layout::ablations(tables)
+        .into_iter()
+        .chain(layout::pooled(tables))
+        .map(|grid| format!("<section class=\"card\">{}</section>", grid.html()))
+        .collect();
+    let _ = writeln!(out, "<div class=\"two\">{}</div>", more.concat());
     out += "<h2>Per video</h2>\n";
     for metric in Metric::ALL {
         let _ =
