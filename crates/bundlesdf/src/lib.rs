@@ -28,6 +28,7 @@ mod ablation;
 pub mod config;
 mod depth;
 pub mod evaluate;
+mod field_model;
 mod field_worker;
 mod global_graph;
 pub mod input;
