@@ -42,7 +42,7 @@ pub(crate) struct SynthArgs {
 
 #[derive(Args)]
 pub(crate) struct DatasetArgs {
-    /// Folder of the dataset [default: data/<DATASET>].
+    /// Folder of the dataset [default: data/NAME].
     #[arg(long, value_name = "DIR")]
     root: Option<PathBuf>,
     /// Folder of the models, where it isn't in its usual place.
@@ -121,7 +121,7 @@ pub(super) struct How {
     /// Run N jobs at a time.
     #[arg(long, default_value_t = 1, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
     pub(super) jobs: u16,
-    /// Where the results go: DIR/<dataset>/<method>/<sequence>/.
+    /// Where the results go: DIR/DATASET/METHOD/SEQUENCE/.
     #[arg(long, default_value = "out/eval", value_name = "DIR")]
     out: PathBuf,
     /// Also write the scores to this file.

@@ -90,6 +90,9 @@ fn entry(job: &job::Job, outcome: &Outcome) -> Option<Entry> {
 }
 
 fn print(tables: &Tables, entries: &[Entry], notes: &[String]) {
+    if entries.is_empty() {
+        return;
+    }
     let bold = std::io::stdout().is_terminal();
     println!("{}", layout::details(entries).terminal(bold));
     if tables.columns.len() > 1 {
