@@ -1,7 +1,5 @@
 //! The project's own commands: `cargo xtask eval` scores the system on sequences with known truth, `cargo xtask tidy` checks
 //! the rules of the tree.
-//!
-//! It starts the `bundlesdf` binary and never links its library: what is measured is what a user runs.
 #![allow(clippy::print_stdout, reason = "a command line tool reports on standard output")]
 
 mod eval;
@@ -19,10 +17,11 @@ struct Args {
 
 #[derive(Subcommand)]
 enum Command {
-    /// Run the system on sequences with known poses and mesh, and print its scores.
+    /// Run the system, its ablations and other methods on sequences with known poses and mesh, and print their scores
+    /// under the published ones.
     Eval {
         #[command(subcommand)]
-        layout: eval::Layout,
+        target: Box<eval::Target>,
     },
     /// Check the rules of the tree: layers, docs, file sizes, what code may touch.
     Tidy,
@@ -30,7 +29,7 @@ enum Command {
 
 fn main() -> anyhow::Result<ExitCode> {
     match Args::parse().command {
-        Command::Eval { layout } => eval::run(&layout),
+        Command::Eval { target } => eval::run(&target),
         Command::Tidy => tidy::run(),
     }
 }
