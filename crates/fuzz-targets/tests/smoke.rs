@@ -47,8 +47,9 @@ fn smoke(name: &str, mutations: usize) {
     seeds.iter().for_each(|seed| (target.run)(seed));
     let mut rng = Pcg64Mcg::seed_from_u64(20);
     for _ in 0..mutations {
-        let mut bytes = seeds[rng.random_range(0..seeds.len())].clone();
-        mutate(&mut rng, &mut bytes, &seeds[rng.random_range(0..seeds.len())]);
+        let [one, other] = [0; 2].map(|_| rng.random_range(0..seeds.len()));
+        let mut bytes = seeds[one].clone();
+        mutate(&mut rng, &mut bytes, &seeds[other]);
         (target.run)(&bytes);
     }
 }
