@@ -43,6 +43,7 @@ mod surface;
 pub mod texture;
 mod tracker;
 mod video;
+mod zoom;
 
 pub use ablation::Ablation;
 pub use config::{Config, ConfigError, Schedule};
