@@ -57,6 +57,10 @@ async function start() {
   const axes = new AxesHelper(size * 0.3);
   // In the frame of the file's own coordinates, inside the node that turns them upright.
   (gltf.scene.children[0] ?? model).add(axes);
+  // As in the overlays, and not hidden inside the object.
+  axes.setColors("#f04848", "#3cc860", "#4a86ff");
+  axes.material.depthTest = false;
+  axes.renderOrder = 1;
   axes.visible = false;
 
   scene.add(new HemisphereLight(0xffffff, 0x8d8d95, 1.7), new AmbientLight(0xffffff, 0.5));

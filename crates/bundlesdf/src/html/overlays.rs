@@ -139,8 +139,9 @@ fn cut_out(
     let (columns, rows) = (part(width), part(height));
     let middle = overlay.bounds().map_or_else(Point3::origin, |b| b.centre());
     let middle = intrinsics.project((pose * middle).coords.into()).unwrap_or([intrinsics.cx, intrinsics.cy]);
+    // Pixel centres are at integers: `at` lies half a pixel from the left border of its pixel.
     let start = |at: f64, part: usize, size: usize| {
-        (at - part as f64 / 2.0).clamp(0.0, (size - part) as f64) as usize
+        (at + 0.5 - part as f64 / 2.0).round().clamp(0.0, (size - part) as f64) as usize
     };
     let (x0, y0) = (start(middle[0], columns, width), start(middle[1], rows, height));
     let raw = color.pixels().as_flattened().to_vec();
