@@ -1,9 +1,10 @@
-//! The project's own commands: `cargo xtask eval` scores the system on sequences with known truth, `cargo xtask tidy` checks
-//! the rules of the tree.
+//! The project's own commands: `cargo xtask eval` scores the system on sequences with known truth, `cargo xtask bench` measures single parts,
+//! `cargo xtask tidy` checks the rules of the tree.
 //!
 //! It starts the `bundlesdf` binary and never links its library: what is measured is what a user runs.
 #![allow(clippy::print_stdout, reason = "a command line tool reports on standard output")]
 
+mod bench;
 mod eval;
 mod tidy;
 
@@ -24,6 +25,11 @@ enum Command {
         #[command(subcommand)]
         layout: eval::Layout,
     },
+    /// Measure a single part of the system.
+    Bench {
+        #[command(subcommand)]
+        part: bench::Part,
+    },
     /// Check the rules of the tree: layers, docs, file sizes, what code may touch.
     Tidy,
 }
@@ -31,6 +37,7 @@ enum Command {
 fn main() -> anyhow::Result<ExitCode> {
     match Args::parse().command {
         Command::Eval { layout } => eval::run(&layout),
+        Command::Bench { part } => bench::run(&part),
         Command::Tidy => tidy::run(),
     }
 }

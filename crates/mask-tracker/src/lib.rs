@@ -42,14 +42,17 @@ mod energy;
 mod given;
 mod grid;
 mod maxflow;
+mod memory;
 mod propagate;
 mod redetect;
+mod stages;
 mod surface;
 mod upsample;
 mod warp;
 
 pub use given::GivenMasks;
 pub use propagate::{Options, Propagate};
+pub use stages::StageTimes;
 
 use nalgebra::Isometry3;
 use rgbd_io::{Mask, RgbdFrame};

@@ -3,11 +3,12 @@
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use rgbd_io::{Image, Mask, RgbdFrame};
 
-use crate::appearance::{Appearance, Histogram};
-use crate::distance::nearest;
+use crate::appearance::Appearance;
 use crate::energy::{Cues, Unaries, cut, edges, keep_connected, unaries};
 use crate::grid::{Bounds, Camera, EMPTY_BOUNDS, Grid, Window, include};
+use crate::memory::{Memory, center, histograms, lift, mask_bounds, mask_cells, still_hidden};
 use crate::redetect;
+use crate::stages::{Clock, Stage, StageTimes};
 use crate::surface::Surface;
 use crate::upsample::upsample;
 use crate::warp::{Layer, Sample, align, bounds, moved};
@@ -57,18 +58,7 @@ pub struct Propagate {
     appearance: Appearance,
     memory: Option<Memory>,
     work: Option<Work>,
-}
-
-/// The object as last seen.
-struct Memory {
-    samples: Vec<Sample>,
-    cam_from_obj: Option<Isometry3<f64>>,
-    /// Camera-frame translation of the last step, metres.
-    velocity: Vector3<f32>,
-    /// Frames since the object was last seen.
-    missing: u32,
-    /// No frame has followed the first one yet.
-    fresh: bool,
+    clock: Clock,
 }
 
 /// The current frame between `next` and `refine`.
@@ -103,7 +93,12 @@ impl Default for Propagate {
 impl Propagate {
     /// A segmenter that waits for [`VideoSegmenter::start`].
     pub fn new(options: Options) -> Self {
-        Self { options, appearance: Appearance::empty(), memory: None, work: None }
+        Self { options, appearance: Appearance::empty(), memory: None, work: None, clock: Clock::default() }
+    }
+
+    /// Where the time went so far.
+    pub fn stage_times(&self) -> StageTimes {
+        self.clock.times()
     }
 
     /// Motion of the object's points since the last frame, before looking at the new one.
@@ -133,19 +128,23 @@ impl Propagate {
         }
         let margin = 12.0 + 0.3 * (region[2] - region[0]).max(region[3] - region[1]).min(400.0);
         let window = Window::around(region, margin, size, self.options.max_cells)?;
-        let grid = Grid::new(frame, window);
+        let grid = self.clock.time(Stage::Grid, || Grid::new(frame, window));
         let log_ratio: Vec<f32> = grid.color.iter().map(|&c| self.appearance.log_ratio(c)).collect();
         let reach = (margin / window.step as f32) as i32;
         let posed = prior.cam_from_obj.is_some() && memory.cam_from_obj.is_some();
         let radius = if posed { reach / 2 } else { reach }.clamp(3, 28);
-        let (shift, mut lowest) = align(&grid, &log_ratio, &memory.samples, &motion, &camera, radius);
+        let fit = |motion: &Isometry3<f32>, radius| {
+            self.clock
+                .time(Stage::Align, || align(&grid, &log_ratio, &memory.samples, motion, &camera, radius))
+        };
+        let (shift, mut lowest) = fit(&motion, radius);
         let mut best = shift * motion;
         // A prediction that explains the image worse than none is not used. Standing still wins a tie against the
         // last step repeated, which would otherwise creep by fractions of a cell.
         let still = (Isometry3::identity(), 2, if posed { 0.02 } else { -0.004 });
         let steady = (Self::steady_motion(memory), radius, 0.02);
         for (other, radius, handicap) in [still, steady].into_iter().take(if posed { 2 } else { 1 }) {
-            let (shift, cost) = align(&grid, &log_ratio, &memory.samples, &other, &camera, radius);
+            let (shift, cost) = fit(&other, radius);
             if cost + handicap < lowest {
                 lowest = cost + handicap;
                 best = shift * other;
@@ -156,7 +155,7 @@ impl Propagate {
             (Some(_), Some(then)) => Some(motion * then.cast::<f32>()),
             (now, _) => now.map(|pose| shift * pose.cast::<f32>()),
         };
-        let edges = edges(&grid, self.options.smoothness);
+        let edges = self.clock.time(Stage::Cues, || edges(&grid, self.options.smoothness));
         let found = self.minimise(&grid, &edges, &log_ratio, &motion, pose, prior, &camera, false)?;
         Some(Work { grid, edges, log_ratio, motion, mismatch: lowest, found, camera, size })
     }
@@ -175,27 +174,29 @@ impl Propagate {
     ) -> Option<Found> {
         let memory = self.memory.as_ref()?;
         let (samples, window) = (&memory.samples, &grid.window);
-        let object = Layer::draw(samples, |s| s.object, motion, camera, window);
-        let carried = Layer::draw(samples, |s| !s.object, motion, camera, window);
-        let still = Layer::draw(samples, |s| !s.object, &Isometry3::identity(), camera, window);
-        let surface = cam_from_obj.and_then(|pose| {
-            let mut surface = Surface::draw(prior.model, &pose, camera, window, prior.confidence)?;
-            surface.weigh(grid, |i| object.depth[i] > 0.0);
-            Some(surface)
+        let (object, Unaries { total, evidence, predicted }) = self.clock.time(Stage::Cues, || {
+            let object = Layer::draw(samples, |s| s.object, motion, camera, window);
+            let carried = Layer::draw(samples, |s| !s.object, motion, camera, window);
+            let still = Layer::draw(samples, |s| !s.object, &Isometry3::identity(), camera, window);
+            let surface = cam_from_obj.and_then(|pose| {
+                let mut surface = Surface::draw(prior.model, &pose, camera, window, prior.confidence)?;
+                surface.weigh(grid, |i| object.depth[i] > 0.0);
+                Some(surface)
+            });
+            let cues = Cues {
+                grid,
+                log_ratio,
+                color_weight: 0.35 + 0.65 * self.appearance.reliability(),
+                object: &object,
+                carried: &carried,
+                still: &still,
+                surface: surface.as_ref(),
+                refined,
+            };
+            let unaries = unaries(&cues, &self.options, 0.5 * (camera.fx + camera.fy));
+            (object, unaries)
         });
-        let cues = Cues {
-            grid,
-            log_ratio,
-            color_weight: 0.35 + 0.65 * self.appearance.reliability(),
-            object: &object,
-            carried: &carried,
-            still: &still,
-            surface: surface.as_ref(),
-            refined,
-        };
-        let Unaries { total, evidence, predicted } =
-            unaries(&cues, &self.options, 0.5 * (camera.fx + camera.fy));
-        let mut labels = cut(grid, edges, &total);
+        let mut labels = self.clock.time(Stage::Cut, || cut(grid, edges, &total));
         keep_connected(&mut labels, &predicted, window.w, window.h);
         let area = labels.iter().filter(|&&l| l).count();
         let visible = (0..window.len()).filter(|&i| object.depth[i] > 0.0 && object.hidden[i] == 0).count();
@@ -225,6 +226,12 @@ impl Propagate {
 
     /// Remembers the frame: its cells become the samples of the next, colour models learn if it is trusted.
     fn commit(&mut self, cam_from_obj: Option<Isometry3<f64>>) {
+        let clock = std::mem::take(&mut self.clock);
+        clock.time(Stage::Learn, || self.learn(cam_from_obj));
+        self.clock = clock;
+    }
+
+    fn learn(&mut self, cam_from_obj: Option<Isometry3<f64>>) {
         let Some(work) = self.work.take() else { return };
         let Some(memory) = &mut self.memory else { return };
         let old_center = center(&memory.samples);
@@ -241,8 +248,12 @@ impl Propagate {
         // One hidden sample per cell is enough; the flicker of outlines would pile them up.
         let mut taken = vec![false; work.grid.window.len()];
         for s in memory.samples.iter().filter(|s| s.object && s.hidden < self.options.memory_frames) {
-            if let Some((kept, i)) = still_hidden(s, &work, &self.options)
-                && !taken[i]
+            if let Some((kept, i)) = still_hidden(
+                s,
+                &work.motion,
+                (&work.grid, &work.camera, &work.found.labels),
+                self.options.in_front,
+            ) && !taken[i]
             {
                 taken[i] = true;
                 samples.push(kept);
@@ -312,7 +323,11 @@ impl VideoSegmenter for Propagate {
             let elsewhere = self
                 .memory
                 .as_ref()
-                .and_then(|m| redetect::search(frame, &self.appearance, &m.samples, &motion, &camera))
+                .and_then(|m| {
+                    self.clock.time(Stage::Search, || {
+                        redetect::search(frame, &self.appearance, &m.samples, &motion, &camera)
+                    })
+                })
                 .and_then(|shift| self.try_motion(frame, &Prior::default(), shift * motion));
             if let Some(again) = elsewhere
                 && self.present(&again, 0.6)
@@ -324,7 +339,8 @@ impl VideoSegmenter for Propagate {
         }
         match work {
             Some(work) if self.present(&work, threshold) => {
-                let mask = upsample(frame, &work.grid, &work.found.labels);
+                let mask =
+                    self.clock.time(Stage::Upsample, || upsample(frame, &work.grid, &work.found.labels));
                 let confidence = work.found.confidence;
                 self.work = Some(work);
                 Segmentation::new(mask, confidence)
@@ -364,7 +380,7 @@ impl VideoSegmenter for Propagate {
         if !self.present(&work, self.options.min_confidence) {
             return self.lost(size, work.found.confidence);
         }
-        let mask = upsample(frame, &work.grid, &work.found.labels);
+        let mask = self.clock.time(Stage::Upsample, || upsample(frame, &work.grid, &work.found.labels));
         let confidence = work.found.confidence;
         self.work = Some(work);
         self.commit(prior.cam_from_obj);
@@ -393,98 +409,4 @@ fn extend_by_model(region: &mut Bounds, prior: &Prior<'_>, camera: &Camera) {
             region[3].max(model[3]),
         ];
     }
-}
-
-fn mask_bounds(mask: &Mask) -> Option<Bounds> {
-    let mut b = EMPTY_BOUNDS;
-    for y in 0..mask.height() {
-        for (x, _) in mask.row(y).iter().enumerate().filter(|(_, m)| **m != 0) {
-            include(&mut b, x as f32, y as f32);
-        }
-    }
-    (b[0] <= b[2]).then_some(b)
-}
-
-/// Cells of which at least half is mask.
-fn mask_cells(mask: &Mask, window: &Window) -> Vec<bool> {
-    let mut labels = Vec::with_capacity(window.len());
-    for cy in 0..window.h {
-        for cx in 0..window.w {
-            let (mut inside, mut count) = (0, 0);
-            for y in 0..window.step {
-                for x in 0..window.step {
-                    if let Some(&m) =
-                        mask.get(window.x0 + cx * window.step + x, window.y0 + cy * window.step + y)
-                    {
-                        count += 1;
-                        inside += usize::from(m != 0);
-                    }
-                }
-            }
-            labels.push(2 * inside >= count && inside > 0);
-        }
-    }
-    labels
-}
-
-/// Colours of the object and of what surrounds it; cells at the outline are mixed and teach neither.
-fn histograms(grid: &Grid, labels: &[bool], doubted: Option<&[f32]>) -> (Histogram, Histogram) {
-    let to_object = nearest(grid.window.w, grid.window.h, |i| labels[i]);
-    let to_outside = nearest(grid.window.w, grid.window.h, |i| !labels[i]);
-    let object = Histogram::from_colors(
-        (0..labels.len()).filter(|&i| labels[i] && to_outside.distance[i] > 1.2).map(|i| grid.color[i]),
-    );
-    // Around the object, what looks like it may be a part that was missed: the background must not learn that.
-    let teaches = |i: usize| {
-        let d = to_object.distance[i];
-        d > 15.0 || (d > 1.2 && doubted.is_none_or(|log_ratio| log_ratio[i] < 0.0))
-    };
-    let background = (0..labels.len()).filter(|&i| teaches(i)).map(|i| grid.color[i]);
-    (object, Histogram::from_colors(background))
-}
-
-/// Lifts every cell to 3-D; one without depth borrows it from the nearest cell of its side that has one.
-fn lift(grid: &Grid, camera: &Camera, labels: &[bool]) -> Vec<(Sample, usize)> {
-    let (w, h) = (grid.window.w, grid.window.h);
-    let object = nearest(w, h, |i| labels[i] && grid.depth[i] > 0.0);
-    let background = nearest(w, h, |i| !labels[i] && grid.depth[i] > 0.0);
-    (0..labels.len())
-        .map(|i| {
-            let measured = grid.depth[i] > 0.0;
-            let seed = if labels[i] { object.seed[i] } else { background.seed[i] };
-            let z = grid.depth.get(seed as usize).copied().unwrap_or(1.0);
-            let (u, v) = grid.window.center(i);
-            let sample = Sample {
-                point: camera.unproject(u, v, z),
-                color: grid.color[i],
-                object: labels[i],
-                measured,
-                hidden: 0,
-                trust: 1.0,
-            };
-            (sample, i)
-        })
-        .collect()
-}
-
-/// The moved sample and its cell, if something in front of it keeps it out of view.
-fn still_hidden(s: &Sample, work: &Work, options: &Options) -> Option<(Sample, usize)> {
-    let p = moved(s.point, &work.motion);
-    let [u, v] = work.camera.project(p)?;
-    let i = work.grid.window.index(work.grid.window.cell(u, v))?;
-    let z = work.grid.depth[i];
-    let covered = z > 0.0 && s.measured && z < p[2] - options.in_front;
-    let unknown = z <= 0.0 && s.hidden > 0;
-    let kept = Sample { point: p, hidden: s.hidden.saturating_add(1), ..*s };
-    (!work.found.labels[i] && (covered || unknown)).then_some((kept, i))
-}
-
-fn center(samples: &[Sample]) -> Option<[f32; 3]> {
-    let mut sum = [0.0f32; 3];
-    let mut count = 0;
-    for s in samples.iter().filter(|s| s.object) {
-        (0..3).for_each(|k| sum[k] += s.point[k]);
-        count += 1;
-    }
-    (count > 0).then(|| sum.map(|v| v / count as f32))
 }

@@ -5,7 +5,7 @@ mod ply;
 mod report;
 mod run;
 mod score;
-mod synth;
+pub(crate) mod synth;
 mod truth;
 
 use clap::{Subcommand, ValueEnum};

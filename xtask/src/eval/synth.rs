@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 const COMPLETE: &str = "complete";
 
 /// One folder per sequence below `data`, made if it isn't there yet; all of the suite when `names` is empty.
-pub(super) fn folders(names: &[String], data: &Path) -> anyhow::Result<Vec<PathBuf>> {
+pub(crate) fn folders(names: &[String], data: &Path) -> anyhow::Result<Vec<PathBuf>> {
     let all = || Sequence::suite().map(str::to_owned).collect();
     let names: Vec<String> = if names.is_empty() { all() } else { names.to_vec() };
     names.iter().map(|name| folder(name, data)).collect()
