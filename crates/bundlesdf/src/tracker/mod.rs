@@ -31,7 +31,7 @@ pub use self::{
     rounds::{FieldSummary, Reconstruction},
 };
 use crate::{
-    config::{Config, ConfigError, Schedule},
+    config::{Config, ConfigError, Refiner, Schedule},
     field_worker::FieldWorker,
     observation::Observation,
     pool::{Keyframe, MemoryEdge, MemoryPool},
@@ -58,6 +58,8 @@ pub struct Tracker {
     /// The last frame that came with its own mask: where segmentation starts when masks stop coming.
     given: Option<(RgbdFrame, Mask)>,
     surface: Vec<SurfacePoint>,
+    /// The mask that the last frame was tracked with.
+    mask: Option<Mask>,
     reference: Option<Reference>,
     motion: Motion,
     worker: Option<FieldWorker>,
@@ -93,7 +95,7 @@ impl Tracker {
     /// When a value of the config is outside its range.
     pub fn new(config: Config, schedule: Schedule) -> Result<Self, ConfigError> {
         config.validate().map_err(|problem| ConfigError { path: "config".into(), problem })?;
-        let worker = if config.field.enabled { FieldWorker::start() } else { None };
+        let worker = if config.field.refiner == Refiner::None { None } else { FieldWorker::start() };
         Ok(Self {
             config,
             schedule,
@@ -102,6 +104,7 @@ impl Tracker {
             segmenter: Box::new(Propagate::default()),
             given: None,
             surface: Vec::new(),
+            mask: None,
             reference: None,
             motion: Motion::default(),
             worker,
@@ -117,6 +120,11 @@ impl Tracker {
     /// The memory pool.
     pub fn pool(&self) -> &MemoryPool {
         &self.pool
+    }
+
+    /// The mask that the last frame was tracked with, at the frame's size; `None` when the frame could not be read.
+    pub fn mask(&self) -> Option<&Mask> {
+        self.mask.as_ref()
     }
 
     /// What the field has done so far.
@@ -139,6 +147,7 @@ impl Tracker {
         let start = Instant::now();
         let mut times = StageTimes::default();
         let masked = self.segment(frame);
+        self.mask = Some(masked.mask().clone());
         times.segment = start.elapsed();
         let mut result = self.track_masked(index, frame, masked, &mut times);
         times.total = start.elapsed();
@@ -161,6 +170,7 @@ impl Tracker {
     pub fn skip(&mut self, id: &str) -> FrameResult {
         let index = self.next_index;
         self.next_index += 1;
+        self.mask = None;
         self.lost(index, id)
     }
 
@@ -265,6 +275,17 @@ impl Tracker {
     fn optimise(&self, observation: &Observation, coarse: Option<CoarsePose>, relocalised: bool) -> Estimate {
         let fallback = self.reference.as_ref().map_or_else(Isometry3::identity, |r| r.pose);
         let guess = coarse.as_ref().map_or(fallback, |c| c.pose);
+        if !self.config.memory.enabled {
+            let inliers = coarse.map_or(0, |c| c.matches.len());
+            return Estimate {
+                pose: guess,
+                inliers,
+                memory_matches: inliers,
+                relocalised,
+                edges: Vec::new(),
+                moved: Vec::new(),
+            };
+        }
         let selected = self.pool.select(&guess, &self.config.memory);
         let edges = self.memory_edges(observation, &guess, &selected);
         let matched: usize = edges.iter().map(|(_, e)| e.older.len()).sum();
@@ -362,14 +383,12 @@ impl Tracker {
         let pose = estimate.pose;
         self.reference = Some(Reference { index, observation: observation.clone(), pose });
         self.motion.observe(index, &pose);
-        let keyframe = status == Status::Tracked
+        let keyframe = self.config.memory.enabled
+            && status == Status::Tracked
             && !self.adrift
             && observation.valid as f64 >= self.config.memory.min_valid_share * self.first_valid as f64
             && self.pool.is_new_view(&pose, &self.config.memory);
-        if keyframe {
-            self.remember(frame, index, pose, observation, estimate.edges);
-        }
-        FrameResult {
+        let result = FrameResult {
             index,
             id: frame.id.clone(),
             cam_from_obj: pose.inverse(),
@@ -378,7 +397,15 @@ impl Tracker {
             depth_agreement: share,
             keyframe,
             times: StageTimes::default(),
+        };
+        if keyframe {
+            self.remember(frame, index, pose, observation, estimate.edges);
+        } else if !self.config.memory.enabled {
+            let (id, refined_by_field) = (frame.id.clone(), false);
+            self.pool.replace_all(Keyframe { index, id, obj_from_cam: pose, refined_by_field, observation });
+            self.surface = fused_surface(&self.pool);
         }
+        result
     }
 
     fn remember(
@@ -464,7 +491,9 @@ impl Tracker {
             confidence: if coarse.is_some() { Self::ESTIMATED_POSE } else { Self::STALE_POSE },
         };
         let refined = self.segmenter.refine(frame, segmentation, &prior);
-        Observation::new(observation.index, frame, &refined.mask, &self.config).unwrap_or(observation)
+        let cleaned = Observation::new(observation.index, frame, &refined.mask, &self.config);
+        self.mask = Some(refined.mask);
+        cleaned.unwrap_or(observation)
     }
 }
 
