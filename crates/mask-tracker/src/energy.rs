@@ -21,6 +21,8 @@ pub(crate) struct Cues<'a> {
     /// Background points of the last frame where they were.
     pub(crate) still: &'a Layer,
     pub(crate) surface: Option<&'a Surface>,
+    /// What the space around the object says of every cell's point, see [`crate::volume::Volume::testimony`].
+    pub(crate) space: Option<&'a [f32]>,
     /// After the pose: the model decides where it covers.
     pub(crate) refined: bool,
 }
@@ -30,8 +32,11 @@ pub(crate) struct Unaries {
     pub(crate) total: Vec<f32>,
     /// What speaks for the cell besides its place: colour, depth, persistence and model.
     pub(crate) evidence: Vec<f32>,
-    /// Cells where the warped object is plausible (not occluded, not gone).
+    /// Cells where the warped object is plausible (not occluded, not gone), and others that can only be a part of it
+    /// that wasn't in view.
     pub(crate) predicted: Vec<bool>,
+    /// 0..1: how long the cell's point has been seen as background, where it still looks like that.
+    pub(crate) held: Vec<f32>,
 }
 
 const LOG_ODDS_SCALE: f32 = 64.0;
@@ -45,19 +50,34 @@ pub(crate) fn unaries(cues: &Cues<'_>, options: &Options, focal: f32) -> Unaries
     let to_outside = nearest(grid.window.w, grid.window.h, |i| !predicted[i]);
     let mut total = Vec::with_capacity(n);
     let mut evidence = Vec::with_capacity(n);
+    let mut held = Vec::with_capacity(n);
+    let mut anchored = predicted.clone();
     for i in 0..n {
-        let place = place(to_object.distance[i], to_outside.distance[i]);
         let color = cues.color_weight * cues.log_ratio[i];
         let layering = layering(cues, to_object.seed[i], to_object.distance[i], i, focal);
-        let persistence = persistence(cues, i);
+        let (object, background, age) = persistence(cues, i);
+        let new = is_new(cues, i);
+        let place = place(to_object.distance[i], to_outside.distance[i]) * if new { 0.5 } else { 1.0 };
         let model = cues.surface.map_or(0.0, |s| testimony(s, grid.depth[i], i, cues.refined, options));
+        let space = cues.space.map_or(0.0, |s| s[i]) * if cues.refined { 1.0 } else { 0.6 };
         // Where the model agrees it has seen the object: colour may vary by light, the surface doesn't.
         let color = if model > 0.8 && color < 0.0 { 0.7 * color } else { color };
-        let e = color + layering + persistence + model;
+        let e = color + layering + object - background + model + space;
         evidence.push(e);
         total.push(e + place);
+        held.push(age);
+        anchored[i] |= new && color > 0.5 && layering > -0.5 && space > -0.5;
     }
-    Unaries { total, evidence, predicted }
+    Unaries { total, evidence, predicted: anchored, held }
+}
+
+/// The cell shows something that wasn't in view in the last frame, neither where it is nor moved along with the
+/// object: a part of the object that has come into view, or something that has come between.
+fn is_new(cues: &Cues<'_>, i: usize) -> bool {
+    let z = cues.grid.depth[i];
+    let explains =
+        |layer: &Layer| layer.measured[i] && (z - layer.depth[i]).abs() < 0.006 + 3.0 * depth_noise(z);
+    z > 0.0 && !explains(cues.still) && !explains(cues.carried)
 }
 
 /// The predicted object is possible at `i`: the observed depth is neither an occluder's nor the background's, and a
@@ -114,8 +134,9 @@ fn layering(cues: &Cues<'_>, seed: u32, distance: f32, i: usize, focal: f32) -> 
 }
 
 /// Cells that look as predicted keep their label: the object's points moved with it, the background's either stayed
-/// or moved along (what holds the object).
-fn persistence(cues: &Cues<'_>, i: usize) -> f32 {
+/// or moved along (what holds the object). The preferences for object and for background, and how long what is seen
+/// here has been background.
+fn persistence(cues: &Cues<'_>, i: usize) -> (f32, f32, f32) {
     let likeness = |layer: &Layer| {
         if layer.depth[i] <= 0.0 {
             return 0.0;
@@ -133,10 +154,11 @@ fn persistence(cues: &Cues<'_>, i: usize) -> f32 {
         color * depth
     };
     let object = likeness(cues.object) * cues.object.trust[i];
-    let carried = likeness(cues.carried) * cues.carried.trust[i];
-    let still = likeness(cues.still) * cues.still.trust[i];
-    let background = carried.max(0.8 * still);
-    2.0 * object - 1.2 * background
+    let (carried, still) = (likeness(cues.carried), likeness(cues.still));
+    let (carried_age, still_age) = (cues.carried.trust[i], cues.still.trust[i]);
+    let age = |likeness: f32, trust: f32| if likeness > 0.5 { trust } else { 0.0 };
+    let background = (carried * carried_age).max(0.8 * still * still_age);
+    (2.0 * object, 1.2 * background, age(carried, carried_age).max(age(still, still_age)))
 }
 
 /// The model's word on a cell that it covers.

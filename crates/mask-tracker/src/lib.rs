@@ -48,6 +48,7 @@ mod redetect;
 mod stages;
 mod surface;
 mod upsample;
+mod volume;
 mod warp;
 
 pub use given::GivenMasks;

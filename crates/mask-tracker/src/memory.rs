@@ -6,11 +6,14 @@ use rgbd_io::Mask;
 use crate::appearance::Histogram;
 use crate::distance::nearest;
 use crate::grid::{Bounds, Camera, EMPTY_BOUNDS, Grid, Window, include};
+use crate::volume::Volume;
 use crate::warp::{Sample, moved};
 
 /// The object as last seen.
 pub(crate) struct Memory {
     pub(crate) samples: Vec<Sample>,
+    /// Space around the object, once there is a pose.
+    pub(crate) volume: Option<Volume>,
     pub(crate) cam_from_obj: Option<Isometry3<f64>>,
     /// Camera-frame translation of the last step, metres.
     pub(crate) velocity: Vector3<f32>,

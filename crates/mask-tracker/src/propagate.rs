@@ -11,6 +11,7 @@ use crate::redetect;
 use crate::stages::{Clock, Stage, StageTimes};
 use crate::surface::Surface;
 use crate::upsample::upsample;
+use crate::volume::Volume;
 use crate::warp::{Layer, Sample, align, bounds, moved};
 use crate::{Prior, Segmentation, VideoSegmenter};
 
@@ -79,6 +80,7 @@ struct Found {
     labels: Vec<bool>,
     object: Layer,
     evidence: Vec<f32>,
+    held: Vec<f32>,
     confidence: f32,
     /// Object cells over visible predicted cells.
     coverage: f32,
@@ -174,7 +176,7 @@ impl Propagate {
     ) -> Option<Found> {
         let memory = self.memory.as_ref()?;
         let (samples, window) = (&memory.samples, &grid.window);
-        let (object, Unaries { total, evidence, predicted }) = self.clock.time(Stage::Cues, || {
+        let (object, Unaries { total, evidence, predicted, held }) = self.clock.time(Stage::Cues, || {
             let object = Layer::draw(samples, |s| s.object, motion, camera, window);
             let carried = Layer::draw(samples, |s| !s.object, motion, camera, window);
             let still = Layer::draw(samples, |s| !s.object, &Isometry3::identity(), camera, window);
@@ -182,6 +184,11 @@ impl Propagate {
                 let mut surface = Surface::draw(prior.model, &pose, camera, window, prior.confidence)?;
                 surface.weigh(grid, |i| object.depth[i] > 0.0);
                 Some(surface)
+            });
+            let space = cam_from_obj.zip(memory.volume.as_ref()).map(|(pose, volume)| {
+                let mut space = volume.testimony(grid, camera, &pose);
+                weigh_space(&mut space, |i| object.depth[i] > 0.0 && object.hidden[i] == 0);
+                space
             });
             let cues = Cues {
                 grid,
@@ -191,6 +198,7 @@ impl Propagate {
                 carried: &carried,
                 still: &still,
                 surface: surface.as_ref(),
+                space: space.as_deref(),
                 refined,
             };
             let unaries = unaries(&cues, &self.options, 0.5 * (camera.fx + camera.fy));
@@ -207,7 +215,7 @@ impl Propagate {
         let confidence = verified as f32 / area.max(1) as f32
             * ((seen - 0.02) / 0.2).clamp(0.0, 1.0)
             * (2.0 / coverage.max(1e-3)).min(1.0);
-        Some(Found { labels, object, evidence, confidence, coverage })
+        Some(Found { labels, object, evidence, held, confidence, coverage })
     }
 
     fn lost(&mut self, size: (usize, usize), confidence: f32) -> Segmentation {
@@ -242,7 +250,8 @@ impl Propagate {
             // Background that looks like the object may be a part of it that was missed: it must not hold on to
             // its label by its looks alone.
             let doubt = self.appearance.reliability() * (0.5 + 0.4 * work.log_ratio[*i]).clamp(0.0, 1.0);
-            s.trust = if s.object { (before + change).clamp(0.1, 1.0) } else { 1.0 - doubt };
+            let held = if work.found.held[*i] > 0.0 { (work.found.held[*i] + 0.1).min(1.0) } else { 0.2 };
+            s.trust = if s.object { (before + change).clamp(0.1, 1.0) } else { held.min(1.0 - doubt) };
         }
         let mut samples: Vec<Sample> = samples.into_iter().map(|(s, _)| s).collect();
         // One hidden sample per cell is enough; the flicker of outlines would pile them up.
@@ -275,6 +284,9 @@ impl Propagate {
             let (object, background) = histograms(&work.grid, &work.found.labels, Some(&work.log_ratio));
             self.appearance.grade(&work.log_ratio, &work.found.labels, 0.1);
             self.appearance.learn(&object, &background, self.options.learning_rate);
+            if let Some(pose) = cam_from_obj {
+                learn_space(memory, &work, &pose.cast());
+            }
         }
     }
 }
@@ -299,8 +311,14 @@ impl VideoSegmenter for Propagate {
         let log_ratio: Vec<f32> = grid.color.iter().map(|&c| self.appearance.log_ratio(c)).collect();
         self.appearance.grade(&log_ratio, &labels, 1.0);
         let samples = lift(&grid, &camera, &labels).into_iter().map(|(s, _)| s).collect();
-        self.memory =
-            Some(Memory { samples, cam_from_obj: None, velocity: Vector3::zeros(), missing: 0, fresh: true });
+        self.memory = Some(Memory {
+            samples,
+            volume: None,
+            cam_from_obj: None,
+            velocity: Vector3::zeros(),
+            missing: 0,
+            fresh: true,
+        });
     }
 
     fn next(&mut self, frame: &RgbdFrame, prior: &Prior<'_>) -> Segmentation {
@@ -386,6 +404,33 @@ impl VideoSegmenter for Propagate {
         self.commit(prior.cam_from_obj);
         Segmentation::new(mask, confidence)
     }
+}
+
+/// Carves the space around the object and counts what was seen in it; made with the first trusted pose.
+fn learn_space(memory: &mut Memory, work: &Work, cam_from_obj: &Isometry3<f32>) {
+    let labels = &work.found.labels;
+    if memory.volume.is_none() {
+        let obj_from_cam = cam_from_obj.inverse();
+        let points = memory.samples.iter().filter(|s| s.object && s.measured);
+        memory.volume =
+            Volume::around(points.map(|s| moved(s.point, &obj_from_cam)), moved([0.0; 3], &obj_from_cam));
+    }
+    if let Some(volume) = &mut memory.volume {
+        let evidence = &work.found.evidence;
+        volume.learn(&work.grid, &work.camera, cam_from_obj, labels, |i| (evidence[i] > 0.0) == labels[i]);
+    }
+}
+
+/// A wrong pose puts the object itself into empty space: the more of it that happens to, the less the space says.
+fn weigh_space(space: &mut [f32], is_object: impl Fn(usize) -> bool) {
+    let (mut empty, mut all) = (0u32, 0u32);
+    for i in (0..space.len()).filter(|&i| is_object(i)) {
+        all += 1;
+        empty += u32::from(space[i] < -0.5);
+    }
+    let share = empty as f32 / all.max(1) as f32;
+    let weight = ((0.4 - share) / 0.2).clamp(0.0, 1.0);
+    space.iter_mut().for_each(|s| *s *= weight);
 }
 
 fn extend_by_model(region: &mut Bounds, prior: &Prior<'_>, camera: &Camera) {
