@@ -1,8 +1,10 @@
 //! The segmentation energy: one signed preference per cell from every cue, smoothness across edges.
 
+use crate::appearance::Appearance;
 use crate::distance::nearest;
 use crate::grid::{Grid, color_distance2, depth_noise};
 use crate::maxflow::{GridCut, OFFSETS};
+use crate::memory::band;
 use crate::propagate::Options;
 use crate::surface::{Surface, offset};
 use crate::warp::{Layer, color_match};
@@ -10,10 +12,7 @@ use crate::warp::{Layer, color_match};
 /// The cues of one frame, all on the same window.
 pub(crate) struct Cues<'a> {
     pub(crate) grid: &'a Grid,
-    /// Colour log-likelihood ratio per cell.
-    pub(crate) log_ratio: &'a [f32],
-    /// Weight of `log_ratio`: how well colour has told object from background so far.
-    pub(crate) color_weight: f32,
+    pub(crate) appearance: &'a Appearance,
     /// Object points of the last frame at their predicted place.
     pub(crate) object: &'a Layer,
     /// Background points of the last frame moved as if attached to the object (a hand, a gripper).
@@ -32,6 +31,8 @@ pub(crate) struct Unaries {
     pub(crate) total: Vec<f32>,
     /// What speaks for the cell besides its place: colour, depth, persistence and model.
     pub(crate) evidence: Vec<f32>,
+    /// The colour's part of it.
+    pub(crate) color: Vec<f32>,
     /// Cells where the warped object is plausible (not occluded, not gone), and others that can only be a part of it
     /// that wasn't in view.
     pub(crate) predicted: Vec<bool>,
@@ -48,27 +49,72 @@ pub(crate) fn unaries(cues: &Cues<'_>, options: &Options, focal: f32) -> Unaries
     let predicted: Vec<bool> = (0..n).map(|i| plausible(cues, options, i)).collect();
     let to_object = nearest(grid.window.w, grid.window.h, |i| predicted[i]);
     let to_outside = nearest(grid.window.w, grid.window.h, |i| !predicted[i]);
-    let mut total = Vec::with_capacity(n);
-    let mut evidence = Vec::with_capacity(n);
-    let mut held = Vec::with_capacity(n);
-    let mut anchored = predicted.clone();
+    let mut all = Unaries {
+        total: Vec::with_capacity(n),
+        evidence: Vec::with_capacity(n),
+        color: Vec::with_capacity(n),
+        predicted: predicted.clone(),
+        held: Vec::with_capacity(n),
+    };
     for i in 0..n {
-        let color = cues.color_weight * cues.log_ratio[i];
-        let layering = layering(cues, to_object.seed[i], to_object.distance[i], i, focal);
-        let (object, background, age) = persistence(cues, i);
+        let reference = reference(cues, to_object.seed[i]);
+        let color = color(cues, i, reference);
         let new = is_new(cues, i);
-        let place = place(to_object.distance[i], to_outside.distance[i]) * if new { 0.5 } else { 1.0 };
-        let model = cues.surface.map_or(0.0, |s| testimony(s, grid.depth[i], i, cues.refined, options));
+        let mut layering = layering(cues, reference, to_object.distance[i], i, focal);
+        let mut place = place(to_object.distance[i], to_outside.distance[i]);
+        if new && color > 0.0 {
+            // It may be a part of the object that has come into view: those are where nothing was known.
+            layering /= 1.0 + color;
+            place *= 0.4;
+        }
+        let (object, background, age) = persistence(cues, i);
+        let model =
+            cues.surface.map_or(0.0, |s| testimony(s, grid.depth[i], i, cues.refined, color, options));
         let space = cues.space.map_or(0.0, |s| s[i]) * if cues.refined { 1.0 } else { 0.6 };
         // Where the model agrees it has seen the object: colour may vary by light, the surface doesn't.
-        let color = if model > 0.8 && color < 0.0 { 0.7 * color } else { color };
-        let e = color + layering + object - background + model + space;
-        evidence.push(e);
-        total.push(e + place);
-        held.push(age);
-        anchored[i] |= new && color > 0.5 && layering > -0.5 && space > -0.5;
+        let seen_color = if model > 0.8 && color < 0.0 { 0.7 * color } else { color };
+        let e = seen_color + layering + object - background + model + space;
+        all.evidence.push(e);
+        all.color.push(color);
+        all.total.push(e + place);
+        all.held.push(age);
+        all.predicted[i] |= new && color > 0.5 && layering > -0.5 && space > -0.5;
+        if let Some(d) = DBG.with(|d| {
+            d.borrow_mut().as_mut().map(|d| {
+                d.push([
+                    color,
+                    layering,
+                    object,
+                    -background,
+                    model,
+                    space,
+                    place,
+                    if new { 1.0 } else { 0.0 },
+                ])
+            })
+        }) {
+            let _ = d;
+        } //DBG
     }
-    Unaries { total, evidence, predicted: anchored, held }
+    dump(grid, &all.predicted); //DBG
+    all
+}
+
+/// Weighted colour log-likelihood ratio of a cell whose neighbouring object lies at depth `reference`.
+fn color(cues: &Cues<'_>, i: usize, reference: f32) -> f32 {
+    let band = band(cues.grid.depth[i], reference);
+    let weight = 0.35 + 0.65 * cues.appearance.reliability(band);
+    weight * cues.appearance.log_ratio(cues.grid.color[i], band)
+}
+
+/// Depth of the predicted object at the cell `seed`, 0 if unknown.
+fn reference(cues: &Cues<'_>, seed: u32) -> f32 {
+    let seed = seed as usize;
+    match (cues.object.measured.get(seed), cues.surface) {
+        (Some(true), _) => cues.object.depth[seed],
+        (Some(false), Some(surface)) => surface.near[seed],
+        _ => 0.0,
+    }
 }
 
 /// The cell shows something that wasn't in view in the last frame, neither where it is nor moved along with the
@@ -89,7 +135,7 @@ fn plausible(cues: &Cues<'_>, options: &Options, i: usize) -> bool {
         && surface.near[i] > 0.0
         && surface.weight > 0.5
         && offset(z, surface.near[i], surface.far[i]).abs() < options.in_front
-        && cues.color_weight * cues.log_ratio[i] > -1.0
+        && color(cues, i, z) > -1.0
     {
         return true;
     }
@@ -116,15 +162,9 @@ fn place(to_object: f32, to_outside: f32) -> f32 {
 
 /// Depth against the nearest predicted object cell: far in front or behind is something else, and the tolerance
 /// grows with the distance over which the surface had to be continued.
-fn layering(cues: &Cues<'_>, seed: u32, distance: f32, i: usize, focal: f32) -> f32 {
+fn layering(cues: &Cues<'_>, reference: f32, distance: f32, i: usize, focal: f32) -> f32 {
     let z = cues.grid.depth[i];
-    let seed = seed as usize;
-    let reference = match (cues.object.measured.get(seed), cues.surface) {
-        (Some(true), _) => cues.object.depth[seed],
-        (Some(false), Some(surface)) if surface.near[seed] > 0.0 => surface.near[seed],
-        _ => return 0.0,
-    };
-    if z <= 0.0 {
+    if z <= 0.0 || reference <= 0.0 {
         return 0.0;
     }
     let reach = distance * cues.grid.window.step as f32 * z / focal;
@@ -162,7 +202,7 @@ fn persistence(cues: &Cues<'_>, i: usize) -> (f32, f32, f32) {
 }
 
 /// The model's word on a cell that it covers.
-fn testimony(surface: &Surface, z: f32, i: usize, refined: bool, options: &Options) -> f32 {
+fn testimony(surface: &Surface, z: f32, i: usize, refined: bool, color: f32, options: &Options) -> f32 {
     let (near, far) = (surface.near[i], surface.far[i]);
     if near <= 0.0 {
         return 0.0;
@@ -176,7 +216,10 @@ fn testimony(surface: &Surface, z: f32, i: usize, refined: bool, options: &Optio
     let front = options.in_front + slack;
     let behind = options.behind + slack;
     if d < 0.0 {
-        strength * (2.5 - 5.5 * ((-d - 0.5 * front) / front).clamp(0.0, 1.0))
+        // In front of the surface seen so far there is an occluder, or, if it has the object's colours, a part of
+        // the object that has turned into view.
+        let against = if color > 0.0 { 5.5 - 3.0 * color.min(1.0) } else { 5.5 };
+        strength * (2.5 - against * ((-d - 0.5 * front) / front).clamp(0.0, 1.0))
     } else {
         strength * (2.5 - 6.5 * ((d - 0.4 * behind) / (0.8 * behind)).clamp(0.0, 1.0))
     }
@@ -363,3 +406,30 @@ mod tests {
         }
     }
 }
+
+thread_local! { pub(crate) static DBG: std::cell::RefCell<Option<Vec<[f32;8]>>> = std::cell::RefCell::new(if std::env::var("MASKDBG").is_ok() {Some(vec![])} else {None}); static N: std::cell::Cell<usize> = std::cell::Cell::new(0);} //DBG
+fn dump(grid: &Grid, pred: &[bool]) {
+    DBG.with(|d| {
+        if let Some(v) = d.borrow_mut().as_mut() {
+            let k = N.with(|n| {
+                let k = n.get();
+                n.set(k + 1);
+                k
+            });
+            let mut o: Vec<u8> = vec![];
+            let w = &grid.window;
+            for x in [w.x0, w.y0, w.step, w.w, w.h] {
+                o.extend((x as f32).to_le_bytes());
+            }
+            for i in 0..w.len() {
+                for x in v[i] {
+                    o.extend(x.to_le_bytes());
+                }
+                o.extend(grid.depth[i].to_le_bytes());
+                o.extend((pred[i] as u8 as f32).to_le_bytes());
+            }
+            v.clear();
+            std::fs::write(format!("{}/{k:05}.bin", std::env::var("MASKDBG").unwrap()), o).unwrap();
+        }
+    })
+} //DBG

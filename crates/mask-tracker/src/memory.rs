@@ -3,7 +3,7 @@
 use nalgebra::{Isometry3, Vector3};
 use rgbd_io::Mask;
 
-use crate::appearance::Histogram;
+use crate::appearance::{Band, FrameColors, Histogram};
 use crate::distance::nearest;
 use crate::grid::{Bounds, Camera, EMPTY_BOUNDS, Grid, Window, include};
 use crate::volume::Volume;
@@ -55,20 +55,36 @@ pub(crate) fn mask_cells(mask: &Mask, window: &Window) -> Vec<bool> {
     labels
 }
 
-/// Colours of the object and of what surrounds it; cells at the outline are mixed and teach neither.
-pub(crate) fn histograms(grid: &Grid, labels: &[bool], doubted: Option<&[f32]>) -> (Histogram, Histogram) {
+/// Background this much nearer or farther than the object (metres) is near it.
+const NEAR: f32 = 0.08;
+
+/// Which background each cell would belong to: `reference` is the depth of the object next to it.
+pub(crate) fn band(z: f32, reference: f32) -> Band {
+    if z > 0.0 && reference > 0.0 && (z - reference).abs() < NEAR { Band::Near } else { Band::Far }
+}
+
+/// Depth of the object next to each cell, 0 where it has none.
+pub(crate) fn object_depth(grid: &Grid, labels: &[bool]) -> Vec<f32> {
+    let object = nearest(grid.window.w, grid.window.h, |i| labels[i] && grid.depth[i] > 0.0);
+    object.seed.iter().map(|&seed| grid.depth.get(seed as usize).copied().unwrap_or(0.0)).collect()
+}
+
+/// Colours of the object and of what surrounds it, from cells that `teaches` selects; those at the outline are mixed
+/// and teach neither.
+pub(crate) fn frame_colors(grid: &Grid, labels: &[bool], teaches: impl Fn(usize) -> bool) -> FrameColors {
     let to_object = nearest(grid.window.w, grid.window.h, |i| labels[i]);
     let to_outside = nearest(grid.window.w, grid.window.h, |i| !labels[i]);
-    let object = Histogram::from_colors(
-        (0..labels.len()).filter(|&i| labels[i] && to_outside.distance[i] > 1.2).map(|i| grid.color[i]),
-    );
-    // Around the object, what looks like it may be a part that was missed: the background must not learn that.
-    let teaches = |i: usize| {
-        let d = to_object.distance[i];
-        d > 15.0 || (d > 1.2 && doubted.is_none_or(|log_ratio| log_ratio[i] < 0.0))
+    let reference = object_depth(grid, labels);
+    let inside = |i: &usize| labels[*i] && to_outside.distance[*i] > 1.2 && teaches(*i);
+    let outside = |i: &usize| !labels[*i] && to_object.distance[*i] > 1.2 && teaches(*i);
+    let colors = |which: Band| {
+        let cells = (0..labels.len()).filter(outside).filter(|&i| band(grid.depth[i], reference[i]) == which);
+        Histogram::from_colors(cells.map(|i| grid.color[i]))
     };
-    let background = (0..labels.len()).filter(|&i| teaches(i)).map(|i| grid.color[i]);
-    (object, Histogram::from_colors(background))
+    FrameColors {
+        object: Histogram::from_colors((0..labels.len()).filter(inside).map(|i| grid.color[i])),
+        background: [colors(Band::Near), colors(Band::Far)],
+    }
 }
 
 /// Lifts every cell to 3-D; one without depth borrows it from the nearest cell of its side that has one.

@@ -6,7 +6,9 @@ use rgbd_io::{Image, Mask, RgbdFrame};
 use crate::appearance::Appearance;
 use crate::energy::{Cues, Unaries, cut, edges, keep_connected, unaries};
 use crate::grid::{Bounds, Camera, EMPTY_BOUNDS, Grid, Window, include};
-use crate::memory::{Memory, center, histograms, lift, mask_bounds, mask_cells, still_hidden};
+use crate::memory::{
+    Memory, band, center, frame_colors, lift, mask_bounds, mask_cells, object_depth, still_hidden,
+};
 use crate::redetect;
 use crate::stages::{Clock, Stage, StageTimes};
 use crate::surface::Surface;
@@ -66,7 +68,6 @@ pub struct Propagate {
 struct Work {
     grid: Grid,
     edges: Vec<[i32; 8]>,
-    log_ratio: Vec<f32>,
     motion: Isometry3<f32>,
     /// How badly the moved samples agree with the image, about 0..1.
     mismatch: f32,
@@ -80,6 +81,8 @@ struct Found {
     labels: Vec<bool>,
     object: Layer,
     evidence: Vec<f32>,
+    /// Weighted colour log-likelihood ratio.
+    color: Vec<f32>,
     held: Vec<f32>,
     confidence: f32,
     /// Object cells over visible predicted cells.
@@ -131,7 +134,7 @@ impl Propagate {
         let margin = 12.0 + 0.3 * (region[2] - region[0]).max(region[3] - region[1]).min(400.0);
         let window = Window::around(region, margin, size, self.options.max_cells)?;
         let grid = self.clock.time(Stage::Grid, || Grid::new(frame, window));
-        let log_ratio: Vec<f32> = grid.color.iter().map(|&c| self.appearance.log_ratio(c)).collect();
+        let log_ratio: Vec<f32> = grid.color.iter().map(|&c| self.appearance.log_ratio_anywhere(c)).collect();
         let reach = (margin / window.step as f32) as i32;
         let posed = prior.cam_from_obj.is_some() && memory.cam_from_obj.is_some();
         let radius = if posed { reach / 2 } else { reach }.clamp(3, 28);
@@ -158,8 +161,8 @@ impl Propagate {
             (now, _) => now.map(|pose| shift * pose.cast::<f32>()),
         };
         let edges = self.clock.time(Stage::Cues, || edges(&grid, self.options.smoothness));
-        let found = self.minimise(&grid, &edges, &log_ratio, &motion, pose, prior, &camera, false)?;
-        Some(Work { grid, edges, log_ratio, motion, mismatch: lowest, found, camera, size })
+        let found = self.minimise(&grid, &edges, &motion, pose, prior, &camera, false)?;
+        Some(Work { grid, edges, motion, mismatch: lowest, found, camera, size })
     }
 
     #[allow(clippy::too_many_arguments)]
@@ -167,7 +170,6 @@ impl Propagate {
         &self,
         grid: &Grid,
         edges: &[[i32; 8]],
-        log_ratio: &[f32],
         motion: &Isometry3<f32>,
         cam_from_obj: Option<Isometry3<f32>>,
         prior: &Prior<'_>,
@@ -176,34 +178,34 @@ impl Propagate {
     ) -> Option<Found> {
         let memory = self.memory.as_ref()?;
         let (samples, window) = (&memory.samples, &grid.window);
-        let (object, Unaries { total, evidence, predicted, held }) = self.clock.time(Stage::Cues, || {
-            let object = Layer::draw(samples, |s| s.object, motion, camera, window);
-            let carried = Layer::draw(samples, |s| !s.object, motion, camera, window);
-            let still = Layer::draw(samples, |s| !s.object, &Isometry3::identity(), camera, window);
-            let surface = cam_from_obj.and_then(|pose| {
-                let mut surface = Surface::draw(prior.model, &pose, camera, window, prior.confidence)?;
-                surface.weigh(grid, |i| object.depth[i] > 0.0);
-                Some(surface)
+        let (object, Unaries { total, evidence, color, predicted, held }) =
+            self.clock.time(Stage::Cues, || {
+                let object = Layer::draw(samples, |s| s.object, motion, camera, window);
+                let carried = Layer::draw(samples, |s| !s.object, motion, camera, window);
+                let still = Layer::draw(samples, |s| !s.object, &Isometry3::identity(), camera, window);
+                let surface = cam_from_obj.and_then(|pose| {
+                    let mut surface = Surface::draw(prior.model, &pose, camera, window, prior.confidence)?;
+                    surface.weigh(grid, |i| object.depth[i] > 0.0);
+                    Some(surface)
+                });
+                let space = cam_from_obj.zip(memory.volume.as_ref()).map(|(pose, volume)| {
+                    let mut space = volume.testimony(grid, camera, &pose);
+                    weigh_space(&mut space, |i| object.depth[i] > 0.0 && object.hidden[i] == 0);
+                    space
+                });
+                let cues = Cues {
+                    grid,
+                    appearance: &self.appearance,
+                    object: &object,
+                    carried: &carried,
+                    still: &still,
+                    surface: surface.as_ref(),
+                    space: space.as_deref(),
+                    refined,
+                };
+                let unaries = unaries(&cues, &self.options, 0.5 * (camera.fx + camera.fy));
+                (object, unaries)
             });
-            let space = cam_from_obj.zip(memory.volume.as_ref()).map(|(pose, volume)| {
-                let mut space = volume.testimony(grid, camera, &pose);
-                weigh_space(&mut space, |i| object.depth[i] > 0.0 && object.hidden[i] == 0);
-                space
-            });
-            let cues = Cues {
-                grid,
-                log_ratio,
-                color_weight: 0.35 + 0.65 * self.appearance.reliability(),
-                object: &object,
-                carried: &carried,
-                still: &still,
-                surface: surface.as_ref(),
-                space: space.as_deref(),
-                refined,
-            };
-            let unaries = unaries(&cues, &self.options, 0.5 * (camera.fx + camera.fy));
-            (object, unaries)
-        });
         let mut labels = self.clock.time(Stage::Cut, || cut(grid, edges, &total));
         keep_connected(&mut labels, &predicted, window.w, window.h);
         let area = labels.iter().filter(|&&l| l).count();
@@ -215,7 +217,7 @@ impl Propagate {
         let confidence = verified as f32 / area.max(1) as f32
             * ((seen - 0.02) / 0.2).clamp(0.0, 1.0)
             * (2.0 / coverage.max(1e-3)).min(1.0);
-        Some(Found { labels, object, evidence, held, confidence, coverage })
+        Some(Found { labels, object, evidence, color, held, confidence, coverage })
     }
 
     fn lost(&mut self, size: (usize, usize), confidence: f32) -> Segmentation {
@@ -249,7 +251,7 @@ impl Propagate {
             let change = if work.found.evidence[*i] > 0.0 { 0.1 } else { -0.1 };
             // Background that looks like the object may be a part of it that was missed: it must not hold on to
             // its label by its looks alone.
-            let doubt = self.appearance.reliability() * (0.5 + 0.4 * work.log_ratio[*i]).clamp(0.0, 1.0);
+            let doubt = (0.5 + 0.4 * work.found.color[*i]).clamp(0.0, 1.0);
             let held = if work.found.held[*i] > 0.0 { (work.found.held[*i] + 0.1).min(1.0) } else { 0.2 };
             s.trust = if s.object { (before + change).clamp(0.1, 1.0) } else { held.min(1.0 - doubt) };
         }
@@ -281,9 +283,16 @@ impl Propagate {
         let trusted = work.found.confidence >= self.options.learn_confidence
             && (0.6..1.5).contains(&work.found.coverage);
         if trusted {
-            let (object, background) = histograms(&work.grid, &work.found.labels, Some(&work.log_ratio));
-            self.appearance.grade(&work.log_ratio, &work.found.labels, 0.1);
-            self.appearance.learn(&object, &background, self.options.learning_rate);
+            // What looks like the object may be a part of it that was missed, and new things are uncertain: only
+            // what has long been background teaches how that looks.
+            let labels = &work.found.labels;
+            let known =
+                |i: usize| if labels[i] { work.found.evidence[i] > 0.0 } else { work.found.held[i] > 0.7 };
+            let colors = frame_colors(&work.grid, labels, known);
+            let reference = object_depth(&work.grid, labels);
+            let band = |i: usize| band(work.grid.depth[i], reference[i]);
+            self.appearance.grade(&work.grid.color, labels, band, 0.1);
+            self.appearance.learn(&colors, self.options.learning_rate);
             if let Some(pose) = cam_from_obj {
                 learn_space(memory, &work, &pose.cast());
             }
@@ -306,10 +315,9 @@ impl VideoSegmenter for Propagate {
         let Some(window) = Window::around(region, margin, size, self.options.max_cells) else { return };
         let grid = Grid::new(frame, window);
         let labels = mask_cells(mask, &window);
-        let (object, background) = histograms(&grid, &labels, None);
-        self.appearance = Appearance::start(object, background);
-        let log_ratio: Vec<f32> = grid.color.iter().map(|&c| self.appearance.log_ratio(c)).collect();
-        self.appearance.grade(&log_ratio, &labels, 1.0);
+        self.appearance = Appearance::start(frame_colors(&grid, &labels, |_| true));
+        let reference = object_depth(&grid, &labels);
+        self.appearance.grade(&grid.color, &labels, |i| band(grid.depth[i], reference[i]), 1.0);
         let samples = lift(&grid, &camera, &labels).into_iter().map(|(s, _)| s).collect();
         self.memory = Some(Memory {
             samples,
@@ -383,16 +391,7 @@ impl VideoSegmenter for Propagate {
         }
         let Some(work) = self.work.take() else { return found };
         let pose = prior.cam_from_obj.map(|pose| pose.cast());
-        let again = self.minimise(
-            &work.grid,
-            &work.edges,
-            &work.log_ratio,
-            &work.motion,
-            pose,
-            prior,
-            &work.camera,
-            true,
-        );
+        let again = self.minimise(&work.grid, &work.edges, &work.motion, pose, prior, &work.camera, true);
         let Some(again) = again else { return found };
         let work = Work { found: again, ..work };
         if !self.present(&work, self.options.min_confidence) {
@@ -417,7 +416,9 @@ fn learn_space(memory: &mut Memory, work: &Work, cam_from_obj: &Isometry3<f32>) 
     }
     if let Some(volume) = &mut memory.volume {
         let evidence = &work.found.evidence;
-        volume.learn(&work.grid, &work.camera, cam_from_obj, labels, |i| (evidence[i] > 0.0) == labels[i]);
+        let held = &work.found.held;
+        let sure = |i: usize| if labels[i] { evidence[i] > 0.0 } else { held[i] > 0.7 };
+        volume.learn(&work.grid, &work.camera, cam_from_obj, labels, sure);
     }
 }
 

@@ -37,7 +37,7 @@ pub(super) fn follow(folder: &Path, args: &MaskArgs) -> anyhow::Result<Followed>
     let mut poses: Vec<Isometry3<f64>> = Vec::new();
     let mut areas = Vec::new();
     let mut frames = Vec::new();
-    for index in 0..source.len() {
+    for index in 0..source.len().min(args.frames.unwrap_or(usize::MAX)) {
         let mut frame = source.frame(index)?;
         let truth = frame.mask.take().with_context(|| format!("frame {} has no mask", frame.id))?;
         let pose = rgbd_io::poses::read_pose(&folder.join("gt_poses").join(format!("{}.txt", frame.id)))?;

@@ -28,6 +28,9 @@ pub(crate) struct MaskArgs {
     /// Where the synthetic sequences are kept; made on first use.
     #[arg(long, default_value = "out/synth", value_name = "DIR")]
     data: PathBuf,
+    /// Stop after this many frames of each sequence.
+    #[arg(long, value_name = "N")]
+    frames: Option<usize>,
     /// Tell the segmenter neither pose nor model.
     #[arg(long)]
     no_pose: bool,
