@@ -1,6 +1,6 @@
 //! The segmentation energy: one signed preference per cell from every cue, smoothness across edges.
 
-use crate::appearance::Appearance;
+use crate::appearance::{Appearance, Band};
 use crate::distance::nearest;
 use crate::grid::{Grid, color_distance2, depth_noise};
 use crate::maxflow::{GridCut, OFFSETS};
@@ -40,6 +40,8 @@ pub(crate) struct Unaries {
     pub(crate) held: Vec<f32>,
 }
 
+/// Background that has been seen for longer than this (0..1) is certain to be background.
+pub(crate) const KNOWN: f32 = 0.7;
 const LOG_ODDS_SCALE: f32 = 64.0;
 
 /// Weighs all cues.
@@ -62,23 +64,26 @@ pub(crate) fn unaries(cues: &Cues<'_>, options: &Options, focal: f32) -> Unaries
         let new = is_new(cues, i);
         let mut layering = layering(cues, reference, to_object.distance[i], i, focal);
         let mut place = place(to_object.distance[i], to_outside.distance[i]);
-        if new && color > 0.0 {
+        let (object, background, age) = persistence(cues, i);
+        let near = band(grid.depth[i], reference) == Band::Near;
+        if new && near && color > 0.0 && age < KNOWN {
             // It may be a part of the object that has come into view: those are where nothing was known.
             layering /= 1.0 + color;
             place *= 0.4;
         }
-        let (object, background, age) = persistence(cues, i);
         let model =
             cues.surface.map_or(0.0, |s| testimony(s, grid.depth[i], i, cues.refined, color, options));
         let space = cues.space.map_or(0.0, |s| s[i]) * if cues.refined { 1.0 } else { 0.6 };
-        // Where the model agrees it has seen the object: colour may vary by light, the surface doesn't.
-        let seen_color = if model > 0.8 && color < 0.0 { 0.7 * color } else { color };
-        let e = seen_color + layering + object - background + model + space;
+        // What has the colours of the hand may have been taken for the object before: being where the object was
+        // seen to be then speaks for less.
+        let memory = object + model + space;
+        let memory = if memory > 0.0 { memory * (1.0 + color / 3.0).clamp(0.2, 1.0) } else { memory };
+        let e = color + layering - background + memory;
         all.evidence.push(e);
         all.color.push(color);
         all.total.push(e + place);
         all.held.push(age);
-        all.predicted[i] |= new && color > 0.5 && layering > -0.5 && space > -0.5;
+        all.predicted[i] |= new && near && color > 0.5 && layering > -0.5 && space > -0.5;
         if let Some(d) = DBG.with(|d| {
             d.borrow_mut().as_mut().map(|d| {
                 d.push([

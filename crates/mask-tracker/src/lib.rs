@@ -43,6 +43,8 @@ mod given;
 mod grid;
 mod maxflow;
 mod memory;
+mod naming;
+pub mod pipe;
 mod propagate;
 mod redetect;
 mod stages;
@@ -51,7 +53,8 @@ mod upsample;
 mod volume;
 mod warp;
 
-pub use given::GivenMasks;
+pub use given::{GivenMasks, resample};
+pub use naming::{NamingError, pair_masks};
 pub use propagate::{Options, Propagate};
 pub use stages::StageTimes;
 

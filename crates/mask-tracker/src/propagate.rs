@@ -4,7 +4,7 @@ use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use rgbd_io::{Image, Mask, RgbdFrame};
 
 use crate::appearance::Appearance;
-use crate::energy::{Cues, Unaries, cut, edges, keep_connected, unaries};
+use crate::energy::{Cues, KNOWN, Unaries, cut, edges, keep_connected, unaries};
 use crate::grid::{Bounds, Camera, EMPTY_BOUNDS, Grid, Window, include};
 use crate::memory::{
     Memory, band, center, frame_colors, lift, mask_bounds, mask_cells, object_depth, still_hidden,
@@ -248,11 +248,12 @@ impl Propagate {
         let mut samples = lift(&work.grid, &work.camera, &work.found.labels);
         for (s, i) in &mut samples {
             let before = if work.found.object.depth[*i] > 0.0 { work.found.object.trust[*i] } else { 0.3 };
-            let change = if work.found.evidence[*i] > 0.0 { 0.1 } else { -0.1 };
+            let color = work.found.color[*i];
+            let change = if work.found.evidence[*i] > 0.0 && color > -1.0 { 0.1 } else { -0.2 };
             // Background that looks like the object may be a part of it that was missed: it must not hold on to
             // its label by its looks alone.
-            let doubt = (0.5 + 0.4 * work.found.color[*i]).clamp(0.0, 1.0);
-            let held = if work.found.held[*i] > 0.0 { (work.found.held[*i] + 0.1).min(1.0) } else { 0.2 };
+            let doubt = (0.5 + 0.4 * color).clamp(0.0, 1.0);
+            let held = work.found.held[*i].max(0.2) + if color < -0.3 { 0.1 } else { 0.0 };
             s.trust = if s.object { (before + change).clamp(0.1, 1.0) } else { held.min(1.0 - doubt) };
         }
         let mut samples: Vec<Sample> = samples.into_iter().map(|(s, _)| s).collect();
@@ -287,7 +288,7 @@ impl Propagate {
             // what has long been background teaches how that looks.
             let labels = &work.found.labels;
             let known =
-                |i: usize| if labels[i] { work.found.evidence[i] > 0.0 } else { work.found.held[i] > 0.7 };
+                |i: usize| if labels[i] { work.found.evidence[i] > 0.0 } else { work.found.held[i] > KNOWN };
             let colors = frame_colors(&work.grid, labels, known);
             let reference = object_depth(&work.grid, labels);
             let band = |i: usize| band(work.grid.depth[i], reference[i]);
@@ -416,8 +417,8 @@ fn learn_space(memory: &mut Memory, work: &Work, cam_from_obj: &Isometry3<f32>) 
     }
     if let Some(volume) = &mut memory.volume {
         let evidence = &work.found.evidence;
-        let held = &work.found.held;
-        let sure = |i: usize| if labels[i] { evidence[i] > 0.0 } else { held[i] > 0.7 };
+        let (held, color) = (&work.found.held, &work.found.color);
+        let sure = |i: usize| if labels[i] { evidence[i] > 0.0 && color[i] > -1.0 } else { held[i] > KNOWN };
         volume.learn(&work.grid, &work.camera, cam_from_obj, labels, sure);
     }
 }

@@ -32,7 +32,7 @@ pub(super) fn demo(args: &DemoArgs) -> anyhow::Result<ExitCode> {
     let source: Arc<dyn FrameSource> = Arc::new(video.clone());
     let given = if args.masks == DemoMasks::All { "all" } else { "first" };
     let input = VideoInput::Synthetic { name: "demo".into(), masks: given.into(), frames: video.len() };
-    let (run, report) = track(source, input, &config, schedule, &folder)?;
+    let (run, report) = track(source, input, (&config, schedule, &args.how.segmenter), &folder)?;
     let truth: Vec<_> = (0..run.frames.len()).map(|i| video.cam_from_obj(i)).collect();
     let truth = Truth {
         cam_from_obj: &truth,

@@ -138,6 +138,10 @@ struct HowArgs {
     /// lockstep: the tracker waits for the field (reproducible). realtime: it never waits.
     #[arg(long, value_enum, default_value_t = ScheduleArg::Lockstep)]
     schedule: ScheduleArg,
+    /// Where masks come from: `propagate` (built in), `folder:DIR` (PNG files of any naming and size), or
+    /// `command:PROGRAM` (a program fed frames and answering masks, see docs/masks.md).
+    #[arg(long, default_value = "propagate", value_name = "HOW")]
+    segmenter: bundlesdf::SegmenterChoice,
     /// Where the field is trained.
     #[arg(long, value_enum, default_value_t = Device::Auto)]
     device: Device,
