@@ -60,7 +60,7 @@ impl Histogram {
     }
 
     #[inline]
-    fn at(&self, c: Color) -> f32 {
+    pub(crate) fn at(&self, c: Color) -> f32 {
         self.density[bin(c)]
     }
 }

@@ -42,6 +42,8 @@ pub(crate) struct Unaries {
 
 /// Background that has been seen for longer than this (0..1) is certain to be background.
 pub(crate) const KNOWN: f32 = 0.7;
+/// Weighted colour log-likelihood ratio that only the object's own colours reach.
+const SURE_COLOR: f32 = 1.5;
 const LOG_ODDS_SCALE: f32 = 64.0;
 
 /// Weighs all cues.
@@ -71,6 +73,10 @@ pub(crate) fn unaries(cues: &Cues<'_>, options: &Options, focal: f32) -> Unaries
             layering /= 1.0 + color;
             place *= 0.4;
         }
+        if near && color > SURE_COLOR && age < KNOWN {
+            // Nothing else around has this colour: it may be a part that an occluder cuts off from the rest.
+            place = place.max(-1.5);
+        }
         let model =
             cues.surface.map_or(0.0, |s| testimony(s, grid.depth[i], i, cues.refined, color, options));
         let space = cues.space.map_or(0.0, |s| s[i]) * if cues.refined { 1.0 } else { 0.6 };
@@ -84,24 +90,7 @@ pub(crate) fn unaries(cues: &Cues<'_>, options: &Options, focal: f32) -> Unaries
         all.total.push(e + place);
         all.held.push(age);
         all.predicted[i] |= new && near && color > 0.5 && layering > -0.5 && space > -0.5;
-        if let Some(d) = DBG.with(|d| {
-            d.borrow_mut().as_mut().map(|d| {
-                d.push([
-                    color,
-                    layering,
-                    object,
-                    -background,
-                    model,
-                    space,
-                    place,
-                    if new { 1.0 } else { 0.0 },
-                ])
-            })
-        }) {
-            let _ = d;
-        } //DBG
     }
-    dump(grid, &all.predicted); //DBG
     all
 }
 
@@ -411,30 +400,3 @@ mod tests {
         }
     }
 }
-
-thread_local! { pub(crate) static DBG: std::cell::RefCell<Option<Vec<[f32;8]>>> = std::cell::RefCell::new(if std::env::var("MASKDBG").is_ok() {Some(vec![])} else {None}); static N: std::cell::Cell<usize> = std::cell::Cell::new(0);} //DBG
-fn dump(grid: &Grid, pred: &[bool]) {
-    DBG.with(|d| {
-        if let Some(v) = d.borrow_mut().as_mut() {
-            let k = N.with(|n| {
-                let k = n.get();
-                n.set(k + 1);
-                k
-            });
-            let mut o: Vec<u8> = vec![];
-            let w = &grid.window;
-            for x in [w.x0, w.y0, w.step, w.w, w.h] {
-                o.extend((x as f32).to_le_bytes());
-            }
-            for i in 0..w.len() {
-                for x in v[i] {
-                    o.extend(x.to_le_bytes());
-                }
-                o.extend(grid.depth[i].to_le_bytes());
-                o.extend((pred[i] as u8 as f32).to_le_bytes());
-            }
-            v.clear();
-            std::fs::write(format!("{}/{k:05}.bin", std::env::var("MASKDBG").unwrap()), o).unwrap();
-        }
-    })
-} //DBG

@@ -39,6 +39,7 @@
 mod appearance;
 mod distance;
 mod energy;
+mod first;
 mod given;
 mod grid;
 mod maxflow;
@@ -53,6 +54,7 @@ mod upsample;
 mod volume;
 mod warp;
 
+pub use first::{Hints, first_mask};
 pub use given::{GivenMasks, resample};
 pub use naming::{NamingError, pair_masks};
 pub use propagate::{Options, Propagate};

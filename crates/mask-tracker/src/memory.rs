@@ -12,6 +12,8 @@ use crate::warp::{Sample, moved};
 /// The object as last seen.
 pub(crate) struct Memory {
     pub(crate) samples: Vec<Sample>,
+    /// Pixels per cell of the grid that the samples come from.
+    pub(crate) step: usize,
     /// Space around the object, once there is a pose.
     pub(crate) volume: Option<Volume>,
     pub(crate) cam_from_obj: Option<Isometry3<f64>>,

@@ -5,7 +5,7 @@ use rgbd_io::{Image, Mask, RgbdFrame};
 
 use crate::appearance::Appearance;
 use crate::energy::{Cues, KNOWN, Unaries, cut, edges, keep_connected, unaries};
-use crate::grid::{Bounds, Camera, EMPTY_BOUNDS, Grid, Window, include};
+use crate::grid::{Bounds, Camera, Grid, Window};
 use crate::memory::{
     Memory, band, center, frame_colors, lift, mask_bounds, mask_cells, object_depth, still_hidden,
 };
@@ -14,7 +14,7 @@ use crate::stages::{Clock, Stage, StageTimes};
 use crate::surface::Surface;
 use crate::upsample::upsample;
 use crate::volume::Volume;
-use crate::warp::{Layer, Sample, align, bounds, moved};
+use crate::warp::{Layer, Sample, align, bounds, moved, trimmed_bounds};
 use crate::{Prior, Segmentation, VideoSegmenter};
 
 /// Settings of [`Propagate`]; the defaults suit consumer depth cameras and objects of 3 cm to 50 cm.
@@ -180,9 +180,11 @@ impl Propagate {
         let (samples, window) = (&memory.samples, &grid.window);
         let (object, Unaries { total, evidence, color, predicted, held }) =
             self.clock.time(Stage::Cues, || {
-                let object = Layer::draw(samples, |s| s.object, motion, camera, window);
-                let carried = Layer::draw(samples, |s| !s.object, motion, camera, window);
-                let still = Layer::draw(samples, |s| !s.object, &Isometry3::identity(), camera, window);
+                // Samples from a coarser grid cover several cells of this one.
+                let size = memory.step.div_ceil(window.step).min(8) as i32;
+                let object = Layer::draw(samples, |s| s.object, motion, camera, window, size);
+                let carried = Layer::draw(samples, |s| !s.object, motion, camera, window, size);
+                let still = Layer::draw(samples, |s| !s.object, &Isometry3::identity(), camera, window, size);
                 let surface = cam_from_obj.and_then(|pose| {
                     let mut surface = Surface::draw(prior.model, &pose, camera, window, prior.confidence)?;
                     surface.weigh(grid, |i| object.depth[i] > 0.0);
@@ -279,6 +281,7 @@ impl Propagate {
             memory.velocity = Vector3::zeros();
         }
         memory.samples = samples;
+        memory.step = work.grid.window.step;
         memory.cam_from_obj = cam_from_obj;
         memory.missing = 0;
         let trusted = work.found.confidence >= self.options.learn_confidence
@@ -322,6 +325,7 @@ impl VideoSegmenter for Propagate {
         let samples = lift(&grid, &camera, &labels).into_iter().map(|(s, _)| s).collect();
         self.memory = Some(Memory {
             samples,
+            step: window.step,
             volume: None,
             cam_from_obj: None,
             velocity: Vector3::zeros(),
@@ -439,16 +443,13 @@ fn extend_by_model(region: &mut Bounds, prior: &Prior<'_>, camera: &Camera) {
     let Some(pose) = prior.cam_from_obj else { return };
     let pose: Isometry3<f32> = pose.cast();
     let stride = (prior.model.len() / 400).max(1);
-    let mut model = EMPTY_BOUNDS;
-    for point in prior.model.iter().step_by(stride) {
-        if let Some([u, v]) = camera.project(moved(point.position, &pose)) {
-            include(&mut model, u, v);
-        }
-    }
+    let projected =
+        prior.model.iter().step_by(stride).filter_map(|p| camera.project(moved(p.position, &pose)));
+    let Some(model) = trimmed_bounds(projected) else { return };
     // A model far from the last mask is a wrong pose: it must not stretch the window over the image.
     let size = (region[2] - region[0]).max(region[3] - region[1]).max(20.0);
     let apart = (0..4).any(|k| (model[k] - region[k]).abs() > 1.5 * size);
-    if model[0] <= model[2] && !apart {
+    if !apart {
         *region = [
             region[0].min(model[0]),
             region[1].min(model[1]),

@@ -2,6 +2,7 @@
 
 mod check;
 mod demo;
+mod mask;
 mod progress;
 mod run;
 
@@ -26,6 +27,8 @@ const AFTER_HELP: &str = "\
 Examples:
   bundlesdf demo                          track and reconstruct a built-in synthetic video
   bundlesdf check VIDEO                   see what is in a folder and what is wrong with it
+  bundlesdf mask VIDEO --box 210,130,180,240
+                                          cut the first mask out of a box around the object
   bundlesdf run VIDEO --out OUT           track VIDEO from the mask of its first frame
   bundlesdf run VIDEO --out OUT --masks all --schedule realtime
 
@@ -53,6 +56,8 @@ enum Command {
     Run(RunArgs),
     /// Look at a video folder: what is in it, what is wrong, and what to do about it.
     Check(CheckArgs),
+    /// Make the first frame's mask from a box around the object, or from points on it.
+    Mask(mask::MaskArgs),
 }
 
 #[derive(Args, Debug)]
@@ -212,6 +217,7 @@ pub(crate) fn main() -> ExitCode {
         Command::Demo(args) => demo::demo(args),
         Command::Run(args) => run::run(args),
         Command::Check(args) => check::check(args),
+        Command::Mask(args) => mask::mask(args),
     };
     outcome.unwrap_or_else(|error| {
         let text = format!("{error:#}").replace('\n', " ");
