@@ -60,7 +60,7 @@ impl Histogram {
     }
 
     #[inline]
-    pub(crate) fn at(&self, c: Color) -> f32 {
+    fn at(&self, c: Color) -> f32 {
         self.density[bin(c)]
     }
 }

@@ -44,6 +44,8 @@ pub(crate) struct Unaries {
 pub(crate) const KNOWN: f32 = 0.7;
 /// Weighted colour log-likelihood ratio that only the object's own colours reach.
 const SURE_COLOR: f32 = 1.5;
+/// Cells within which a part cut off from the object is looked for.
+const BESIDE: f32 = 12.0;
 const LOG_ODDS_SCALE: f32 = 64.0;
 
 /// Weighs all cues.
@@ -73,7 +75,7 @@ pub(crate) fn unaries(cues: &Cues<'_>, options: &Options, focal: f32) -> Unaries
             layering /= 1.0 + color;
             place *= 0.4;
         }
-        if near && color > SURE_COLOR && age < KNOWN {
+        if near && color > SURE_COLOR && age < KNOWN && to_object.distance[i] < BESIDE {
             // Nothing else around has this colour: it may be a part that an occluder cuts off from the rest.
             place = place.max(-1.5);
         }
@@ -83,7 +85,8 @@ pub(crate) fn unaries(cues: &Cues<'_>, options: &Options, focal: f32) -> Unaries
         // What has the colours of the hand may have been taken for the object before: being where the object was
         // seen to be then speaks for less.
         let memory = object + model + space;
-        let memory = if memory > 0.0 { memory * (1.0 + color / 3.0).clamp(0.2, 1.0) } else { memory };
+        let doubt = (1.0 - 0.5 * object) * color / 3.0;
+        let memory = if memory > 0.0 { memory * (1.0 + doubt).clamp(0.2, 1.0) } else { memory };
         let e = color + layering - background + memory;
         all.evidence.push(e);
         all.color.push(color);

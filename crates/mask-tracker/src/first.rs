@@ -5,9 +5,10 @@ use std::collections::BinaryHeap;
 
 use rgbd_io::{Mask, RgbdFrame};
 
-use crate::appearance::Histogram;
+use crate::appearance::Appearance;
 use crate::energy::{cut, edges};
 use crate::grid::{Bounds, EMPTY_BOUNDS, Grid, Window, color_distance2, depth_noise, include};
+use crate::memory::{band, frame_colors, object_depth};
 use crate::upsample::upsample;
 
 /// What a person says about the object; pixels of the colour image.
@@ -26,6 +27,8 @@ const SMOOTHNESS: f32 = 2.5;
 const ROUNDS: usize = 6;
 /// Preference of a cell that a hint settles.
 const CERTAIN: f32 = 30.0;
+/// Metres that crossing a clear colour edge is worth.
+const CROSSING: f32 = 0.04;
 /// Points reach surface this far away along it (metres).
 const REACH: f32 = 0.2;
 
@@ -36,9 +39,10 @@ const REACH: f32 = 0.2;
 /// them than to the background's points. `None` when nothing is found, or without a hint that lies in the image.
 pub fn first_mask(frame: &RgbdFrame, hints: &Hints) -> Option<Mask> {
     let size = frame.color.size();
+    let region = Region::grow(frame, hints)?;
     let rectangle = match hints.rectangle {
         Some([x, y, w, h]) => [x, y, x + w - 1.0, y + h - 1.0],
-        None => connected(frame, hints)?,
+        None => region.bounds()?,
     };
     let longer = (rectangle[2] - rectangle[0]).max(rectangle[3] - rectangle[1]);
     if !(longer >= 4.0 && longer.is_finite()) {
@@ -47,16 +51,13 @@ pub fn first_mask(frame: &RgbdFrame, hints: &Hints) -> Option<Mask> {
     let window = Window::around(rectangle, 8.0 + 0.25 * longer, size, CELLS)?;
     let grid = Grid::new(frame, window);
     let fixed = fixed_cells(&grid, rectangle, hints);
-    // The middle of the box is object more often than its corners.
-    let (u0, v0) = (0.5 * (rectangle[0] + rectangle[2]), 0.5 * (rectangle[1] + rectangle[3]));
-    let (ru, rv) = (0.5 * (rectangle[2] - rectangle[0]) + 1.0, 0.5 * (rectangle[3] - rectangle[1]) + 1.0);
-    let place: Vec<f32> = (0..window.len())
-        .map(|i| {
-            let (u, v) = window.center(i);
-            0.6 - 1.2 * (((u - u0) / ru).powi(2) + ((v - v0) / rv).powi(2)).min(2.0)
-        })
-        .collect();
-    let mut labels: Vec<bool> = (0..window.len()).map(|i| fixed[i] >= 0.0 && place[i] > 0.0).collect();
+    let place: Vec<f32> = if hints.object.is_empty() {
+        enclosed(frame, &grid, rectangle, &fixed)
+    } else {
+        (0..window.len()).map(|i| region.place(window.center(i))).collect()
+    };
+    let mut labels: Vec<bool> =
+        (0..window.len()).map(|i| fixed[i] > 0.0 || (fixed[i] == 0.0 && place[i] > 0.0)).collect();
     let edges = edges(&grid, SMOOTHNESS);
     for _ in 0..ROUNDS {
         let evidence = evidence(&grid, &labels);
@@ -72,6 +73,52 @@ pub fn first_mask(frame: &RgbdFrame, hints: &Hints) -> Option<Mask> {
     keep_large(&mut labels, window.w);
     let mask = upsample(frame, &grid, &labels);
     (mask.pixels().iter().filter(|m| **m != 0).count() >= 16).then_some(mask)
+}
+
+/// The middle of the box is object more often than its corners.
+fn middle(rectangle: Bounds, u: f32, v: f32) -> f32 {
+    let (u0, v0) = (0.5 * (rectangle[0] + rectangle[2]), 0.5 * (rectangle[1] + rectangle[3]));
+    let (ru, rv) = (0.5 * (rectangle[2] - rectangle[0]) + 1.0, 0.5 * (rectangle[3] - rectangle[1]) + 1.0);
+    0.6 - 1.2 * (((u - u0) / ru).powi(2) + ((v - v0) / rv).powi(2)).min(2.0)
+}
+
+/// Preference by the way from outside the box, along the surface: short for what reaches into the box, as a hand
+/// does, long for what the box encloses. The threshold parts the ways best (Otsu 1979).
+fn enclosed(frame: &RgbdFrame, grid: &Grid, rectangle: Bounds, fixed: &[f32]) -> Vec<f32> {
+    let outside: Vec<usize> = (0..fixed.len()).filter(|&i| fixed[i] < 0.0).collect();
+    let farthest = 0.3;
+    let way = distances(grid, &outside, focal(frame), farthest, CROSSING);
+    let way: Vec<f32> = way.into_iter().map(|d| d.min(farthest).sqrt()).collect();
+    let mut sorted: Vec<f32> = (0..way.len()).filter(|&i| fixed[i] >= 0.0).map(|i| way[i]).collect();
+    sorted.sort_by(f32::total_cmp);
+    let threshold = otsu(&sorted);
+    let preference = |i: usize| {
+        let (u, v) = grid.window.center(i);
+        ((way[i] - threshold) / 0.1).clamp(-1.5, 1.5) + 0.5 * middle(rectangle, u, v)
+    };
+    (0..way.len()).map(preference).collect()
+}
+
+/// The threshold with the largest variance between the two classes of sorted values.
+fn otsu(sorted: &[f32]) -> f32 {
+    let total: f32 = sorted.iter().sum();
+    let n = sorted.len() as f32;
+    let (mut below, mut best) = (0.0, (0.0, 0.0));
+    for (k, v) in sorted.iter().enumerate() {
+        below += v;
+        let (a, b) = ((k + 1) as f32, n - (k + 1) as f32);
+        if b > 0.0 {
+            let between = a * b * (below / a - (total - below) / b).powi(2);
+            if between > best.0 {
+                best = (between, *v);
+            }
+        }
+    }
+    best.1
+}
+
+fn focal(frame: &RgbdFrame) -> f32 {
+    if frame.intrinsics.is_valid() { frame.intrinsics.fx as f32 } else { frame.color.width() as f32 }
 }
 
 /// What the hints settle: positive = object, 0 = open.
@@ -98,24 +145,21 @@ fn fixed_cells(grid: &Grid, rectangle: Bounds, hints: &Hints) -> Vec<f32> {
     fixed
 }
 
-/// Log-likelihood ratios of colour and depth under the models of the last labels.
+/// Log-likelihood ratios of colour and depth under the models of the last labels. Colours are compared with the
+/// background at the same distance: the hand that holds the object, or what it stands on.
 fn evidence(grid: &Grid, labels: &[bool]) -> Vec<f32> {
-    const FLOOR: f32 = 3e-4;
     const DEPTH_FLOOR: f32 = 2e-3;
-    let colors = |object: bool| {
-        Histogram::from_colors((0..labels.len()).filter(|&i| labels[i] == object).map(|i| grid.color[i]))
-    };
-    let (object, background) = (colors(true), colors(false));
+    let appearance = Appearance::start(frame_colors(grid, labels, |_| true));
+    let reference = object_depth(grid, labels);
     let depths = [false, true].map(|object| depth_density(grid, |i| labels[i] == object));
     (0..labels.len())
         .map(|i| {
-            let c = grid.color[i];
-            let color = ((object.at(c) + FLOOR) / (background.at(c) + FLOOR)).ln().clamp(-3.0, 3.0);
+            let color = appearance.log_ratio(grid.color[i], band(grid.depth[i], reference[i]));
             let depth = depth_bin(grid.depth[i]).map_or(0.0, |bin| {
                 let density = |k: usize| depths[k].get(bin).copied().unwrap_or(0.0) + DEPTH_FLOOR;
                 (density(1) / density(0)).ln().clamp(-3.0, 3.0)
             });
-            0.7 * color + 0.8 * depth
+            color + 0.6 * depth
         })
         .collect()
 }
@@ -170,29 +214,67 @@ fn keep_large(labels: &mut [bool], w: usize) {
     }
 }
 
-/// Bounds of the surface that is connected with the object's points.
-fn connected(frame: &RgbdFrame, hints: &Hints) -> Option<Bounds> {
-    let (width, height) = frame.color.size();
-    let window = Window::around([0.0, 0.0, width as f32, height as f32], 0.0, (width, height), 2 * CELLS)?;
-    let grid = Grid::new(frame, window);
-    let seeds = |points: &[[f32; 2]]| -> Vec<usize> {
-        points.iter().filter_map(|[u, v]| window.index(window.cell(*u, *v))).collect()
-    };
-    let focal = if frame.intrinsics.is_valid() { frame.intrinsics.fx as f32 } else { width as f32 };
-    let object = distances(&grid, &seeds(&hints.object), focal);
-    let background = distances(&grid, &seeds(&hints.background), focal);
-    let mut bounds = EMPTY_BOUNDS;
-    for i in (0..window.len()).filter(|&i| object[i] < REACH && object[i] < background[i]) {
-        let (u, v) = window.center(i);
-        include(&mut bounds, u, v);
+/// How far every place is from the object's points and from the background, along the surface.
+struct Region {
+    window: Window,
+    object: Vec<f32>,
+    background: Vec<f32>,
+}
+
+impl Region {
+    fn grow(frame: &RgbdFrame, hints: &Hints) -> Option<Self> {
+        let (width, height) = frame.color.size();
+        let window = Window::around([0.0, 0.0, width as f32, height as f32], 0.0, (width, height), CELLS)?;
+        if hints.object.is_empty() {
+            return Some(Self { window, object: Vec::new(), background: Vec::new() });
+        }
+        let grid = Grid::new(frame, window);
+        let cells = |points: &[[f32; 2]]| -> Vec<usize> {
+            points.iter().filter_map(|[u, v]| window.index(window.cell(*u, *v))).collect()
+        };
+        let focal = focal(frame);
+        // What reaches the edge of the image is background: the table, the wall, an arm.
+        let on_edge = |i: &usize| {
+            let (x, y) = (i % window.w, i / window.w);
+            x == 0 || y == 0 || x + 1 == window.w || y + 1 == window.h
+        };
+        let edge: Vec<usize> = (0..window.len()).filter(on_edge).collect();
+        let background = [cells(&hints.background), edge].concat();
+        Some(Self {
+            window,
+            object: distances(&grid, &cells(&hints.object), focal, REACH, 0.0),
+            background: distances(&grid, &background, focal, 5.0 * REACH, 0.0),
+        })
     }
-    let half = 2.0 + window.step as f32;
-    (bounds[0] <= bounds[2]).then(|| [bounds[0] - half, bounds[1] - half, bounds[2] + half, bounds[3] + half])
+
+    fn inside(&self, i: usize) -> bool {
+        self.object[i] < REACH && self.object[i] < self.background[i]
+    }
+
+    fn bounds(&self) -> Option<Bounds> {
+        let mut bounds = EMPTY_BOUNDS;
+        for i in (0..self.object.len()).filter(|&i| self.inside(i)) {
+            let (u, v) = self.window.center(i);
+            include(&mut bounds, u, v);
+        }
+        let half = 2.0 + self.window.step as f32;
+        (bounds[0] <= bounds[2])
+            .then(|| [bounds[0] - half, bounds[1] - half, bounds[2] + half, bounds[3] + half])
+    }
+
+    /// Preference of a pixel by its distances, -1..1.
+    fn place(&self, (u, v): (f32, f32)) -> f32 {
+        let Some(i) = self.window.index(self.window.cell(u, v)) else { return -1.0 };
+        if self.object[i] >= REACH {
+            return -1.0;
+        }
+        ((self.background[i] - self.object[i]) / 0.04).clamp(-1.0, 1.0)
+    }
 }
 
 /// Length (metres) of the shortest way from a seed to each cell along the surface; steps in depth are long ways, and
 /// edges in colour are longer than they are.
-fn distances(grid: &Grid, seeds: &[usize], focal: f32) -> Vec<f32> {
+fn distances(grid: &Grid, seeds: &[usize], focal: f32, reach: f32, crossing: f32) -> Vec<f32> {
     let window = &grid.window;
     let mut distance = vec![f32::INFINITY; window.len()];
     // Non-negative floats order like their bits.
@@ -203,7 +285,7 @@ fn distances(grid: &Grid, seeds: &[usize], focal: f32) -> Vec<f32> {
     }
     while let Some(Reverse((bits, i))) = queue.pop() {
         let here = f32::from_bits(bits);
-        if here > distance[i] || here > REACH {
+        if here > distance[i] || here > reach {
             continue;
         }
         let (x, y) = ((i % window.w) as i32, (i / window.w) as i32);
@@ -219,7 +301,7 @@ fn distances(grid: &Grid, seeds: &[usize], focal: f32) -> Vec<f32> {
                 0.0
             };
             let edge = color_distance2(grid.color[i], grid.color[j]).sqrt() / 60.0;
-            let next = here + width * (1.0 + edge.min(3.0)) + 20.0 * step;
+            let next = here + width * (1.0 + edge.min(3.0)) + 20.0 * step + crossing * edge.min(2.0).powi(2);
             if next < distance[j] {
                 distance[j] = next;
                 queue.push(Reverse((next.to_bits(), j)));

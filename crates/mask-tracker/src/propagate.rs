@@ -251,7 +251,9 @@ impl Propagate {
         for (s, i) in &mut samples {
             let before = if work.found.object.depth[*i] > 0.0 { work.found.object.trust[*i] } else { 0.3 };
             let color = work.found.color[*i];
-            let change = if work.found.evidence[*i] > 0.0 && color > -1.0 { 0.1 } else { -0.2 };
+            // What hasn't long been object and looks like what surrounds it was taken for object by mistake.
+            let doubtful = before < 0.6 && color < -1.0;
+            let change = if work.found.evidence[*i] > 0.0 && !doubtful { 0.1 } else { -0.2 };
             // Background that looks like the object may be a part of it that was missed: it must not hold on to
             // its label by its looks alone.
             let doubt = (0.5 + 0.4 * color).clamp(0.0, 1.0);
