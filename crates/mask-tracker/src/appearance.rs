@@ -15,6 +15,7 @@ pub(crate) struct Histogram {
     filled: bool,
 }
 
+#[inline]
 fn bin(c: Color) -> usize {
     let axis =
         |v: f32, width: f32, offset: f32, bins: usize| ((v / width + offset).max(0.0) as usize).min(bins - 1);
@@ -57,11 +58,6 @@ impl Histogram {
         for (a, b) in self.density.iter_mut().zip(&other.density) {
             *a += rate * (b - *a);
         }
-    }
-
-    #[inline]
-    fn at(&self, c: Color) -> f32 {
-        self.density[bin(c)]
     }
 }
 
@@ -112,10 +108,10 @@ impl Anchored {
         self.recent.filled
     }
 
-    fn at(&self, c: Color) -> f32 {
+    fn at_bin(&self, k: usize) -> f32 {
         match (self.anchor.filled, self.recent.filled) {
-            (true, true) => 0.5 * (self.anchor.at(c) + self.recent.at(c)),
-            _ => self.recent.at(c),
+            (true, true) => 0.5 * (self.anchor.density[k] + self.recent.density[k]),
+            _ => self.recent.density[k],
         }
     }
 }
@@ -124,6 +120,8 @@ impl Anchored {
 pub(crate) struct Appearance {
     object: Anchored,
     background: [Anchored; 2],
+    /// Log-likelihood ratio of every bin, by [`Band`]; follows from the histograms.
+    table: [Vec<f32>; 2],
 }
 
 /// Colours of one frame.
@@ -136,17 +134,38 @@ pub(crate) struct FrameColors {
 impl Appearance {
     pub(crate) fn empty() -> Self {
         let nothing = || Anchored::new(Histogram::empty());
-        Self { object: nothing(), background: [nothing(), nothing()] }
+        Self {
+            object: nothing(),
+            background: [nothing(), nothing()],
+            table: [vec![0.0; BINS], vec![0.0; BINS]],
+        }
     }
 
     pub(crate) fn start(first: FrameColors) -> Self {
-        Self { object: Anchored::new(first.object), background: first.background.map(Anchored::new) }
+        let mut appearance = Self {
+            object: Anchored::new(first.object),
+            background: first.background.map(Anchored::new),
+            ..Self::empty()
+        };
+        appearance.tabulate();
+        appearance
     }
 
     pub(crate) fn learn(&mut self, frame: &FrameColors, rate: f32) {
         self.object.learn(&frame.object, rate);
         for (model, recent) in self.background.iter_mut().zip(&frame.background) {
             model.learn(recent, rate);
+        }
+        self.tabulate();
+    }
+
+    fn tabulate(&mut self) {
+        for (table, background) in self.table.iter_mut().zip(&self.background) {
+            let known = self.object.filled() && background.filled();
+            for (k, ratio) in table.iter_mut().enumerate() {
+                let odds = (self.object.at_bin(k) + FLOOR) / (background.at_bin(k) + FLOOR);
+                *ratio = if known { odds.ln().clamp(-3.0, 3.0) } else { 0.0 };
+            }
         }
     }
 
@@ -182,11 +201,7 @@ impl Appearance {
 
     /// `ln p(colour | object) / p(colour | background in the band)`, within +-3; 0 when a model is missing.
     pub(crate) fn log_ratio(&self, c: Color, band: Band) -> f32 {
-        let background = &self.background[band as usize];
-        if !self.object.filled() || !background.filled() {
-            return 0.0;
-        }
-        ((self.object.at(c) + FLOOR) / (background.at(c) + FLOOR)).ln().clamp(-3.0, 3.0)
+        self.table[band as usize][bin(c)]
     }
 
     /// [`Appearance::log_ratio`] against background anywhere.

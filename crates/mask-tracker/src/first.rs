@@ -149,8 +149,8 @@ fn fixed_cells(grid: &Grid, rectangle: Bounds, hints: &Hints) -> Vec<f32> {
 /// background at the same distance: the hand that holds the object, or what it stands on.
 fn evidence(grid: &Grid, labels: &[bool]) -> Vec<f32> {
     const DEPTH_FLOOR: f32 = 2e-3;
-    let appearance = Appearance::start(frame_colors(grid, labels, |_| true));
     let reference = object_depth(grid, labels);
+    let appearance = Appearance::start(frame_colors(grid, labels, &reference, |_| true));
     let depths = [false, true].map(|object| depth_density(grid, |i| labels[i] == object));
     (0..labels.len())
         .map(|i| {

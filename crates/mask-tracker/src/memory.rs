@@ -72,21 +72,32 @@ pub(crate) fn object_depth(grid: &Grid, labels: &[bool]) -> Vec<f32> {
 }
 
 /// Colours of the object and of what surrounds it, from cells that `teaches` selects; those at the outline are mixed
-/// and teach neither.
-pub(crate) fn frame_colors(grid: &Grid, labels: &[bool], teaches: impl Fn(usize) -> bool) -> FrameColors {
-    let to_object = nearest(grid.window.w, grid.window.h, |i| labels[i]);
-    let to_outside = nearest(grid.window.w, grid.window.h, |i| !labels[i]);
-    let reference = object_depth(grid, labels);
-    let inside = |i: &usize| labels[*i] && to_outside.distance[*i] > 1.2 && teaches(*i);
-    let outside = |i: &usize| !labels[*i] && to_object.distance[*i] > 1.2 && teaches(*i);
-    let colors = |which: Band| {
-        let cells = (0..labels.len()).filter(outside).filter(|&i| band(grid.depth[i], reference[i]) == which);
+/// and teach neither. `reference` is the depth of the object next to each cell.
+pub(crate) fn frame_colors(
+    grid: &Grid,
+    labels: &[bool],
+    reference: &[f32],
+    teaches: impl Fn(usize) -> bool,
+) -> FrameColors {
+    let (w, h) = (grid.window.w, grid.window.h);
+    let on_outline = |i: usize| {
+        let (x, y) = (i % w, i / w);
+        let differs = |j: usize| labels[j] != labels[i];
+        (x > 0 && differs(i - 1))
+            || (x + 1 < w && differs(i + 1))
+            || (y > 0 && differs(i - w))
+            || (y + 1 < h && differs(i + w))
+    };
+    let colors = |which: Option<Band>| {
+        let cells = (0..labels.len()).filter(|&i| {
+            labels[i] == which.is_none()
+                && which.is_none_or(|b| band(grid.depth[i], reference[i]) == b)
+                && teaches(i)
+                && !on_outline(i)
+        });
         Histogram::from_colors(cells.map(|i| grid.color[i]))
     };
-    FrameColors {
-        object: Histogram::from_colors((0..labels.len()).filter(inside).map(|i| grid.color[i])),
-        background: [colors(Band::Near), colors(Band::Far)],
-    }
+    FrameColors { object: colors(None), background: [colors(Some(Band::Near)), colors(Some(Band::Far))] }
 }
 
 /// Lifts every cell to 3-D; one without depth borrows it from the nearest cell of its side that has one.

@@ -294,8 +294,8 @@ impl Propagate {
             let labels = &work.found.labels;
             let known =
                 |i: usize| if labels[i] { work.found.evidence[i] > 0.0 } else { work.found.held[i] > KNOWN };
-            let colors = frame_colors(&work.grid, labels, known);
             let reference = object_depth(&work.grid, labels);
+            let colors = frame_colors(&work.grid, labels, &reference, known);
             let band = |i: usize| band(work.grid.depth[i], reference[i]);
             self.appearance.grade(&work.grid.color, labels, band, 0.1);
             self.appearance.learn(&colors, self.options.learning_rate);
@@ -321,8 +321,8 @@ impl VideoSegmenter for Propagate {
         let Some(window) = Window::around(region, margin, size, self.options.max_cells) else { return };
         let grid = Grid::new(frame, window);
         let labels = mask_cells(mask, &window);
-        self.appearance = Appearance::start(frame_colors(&grid, &labels, |_| true));
         let reference = object_depth(&grid, &labels);
+        self.appearance = Appearance::start(frame_colors(&grid, &labels, &reference, |_| true));
         self.appearance.grade(&grid.color, &labels, |i| band(grid.depth[i], reference[i]), 1.0);
         let samples = lift(&grid, &camera, &labels).into_iter().map(|(s, _)| s).collect();
         self.memory = Some(Memory {
