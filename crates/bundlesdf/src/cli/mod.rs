@@ -2,6 +2,7 @@
 
 mod check;
 mod demo;
+mod export;
 mod mask;
 mod progress;
 mod run;
@@ -31,6 +32,7 @@ Examples:
                                           cut the first mask out of a box around the object
   bundlesdf run VIDEO --out OUT           track VIDEO from the mask of its first frame
   bundlesdf run VIDEO --out OUT --masks all --schedule realtime
+  bundlesdf export OUT --canonical --sim  write textured meshes and simulator files of a finished run
 
 VIDEO is a folder with rgb/*.png|jpg, depth/*.png (16 bit, millimetres, registered to colour), masks/*.png (at least
 the first frame's; white = object) and cam_K.txt (3x3 intrinsics of the colour camera, pixels).
@@ -58,6 +60,8 @@ enum Command {
     Check(CheckArgs),
     /// Make the first frame's mask from a box around the object, or from points on it.
     Mask(mask::MaskArgs),
+    /// Turn the results of a run into assets: textured GLB, OBJ, PLY and STL, and bodies for simulators.
+    Export(export::ExportArgs),
 }
 
 #[derive(Args, Debug)]
@@ -218,6 +222,7 @@ pub(crate) fn main() -> ExitCode {
         Command::Run(args) => run::run(args),
         Command::Check(args) => check::check(args),
         Command::Mask(args) => mask::mask(args),
+        Command::Export(args) => export::run(args),
     };
     outcome.unwrap_or_else(|error| {
         let text = format!("{error:#}").replace('\n', " ");
