@@ -1,7 +1,8 @@
-//! The project's own commands: `cargo xtask eval` scores the system on sequences with known truth, `cargo xtask tidy` checks
-//! the rules of the tree.
+//! The project's own commands: `cargo xtask eval` scores the system on sequences with known truth, `cargo xtask bench`
+//! measures single parts, `cargo xtask tidy` checks the rules of the tree.
 #![allow(clippy::print_stdout, reason = "a command line tool reports on standard output")]
 
+mod bench;
 mod eval;
 mod tidy;
 
@@ -23,6 +24,11 @@ enum Command {
         #[command(subcommand)]
         target: Box<eval::Target>,
     },
+    /// Measure a single part of the system.
+    Bench {
+        #[command(subcommand)]
+        part: bench::Part,
+    },
     /// Check the rules of the tree: layers, docs, file sizes, what code may touch.
     Tidy,
 }
@@ -30,6 +36,7 @@ enum Command {
 fn main() -> anyhow::Result<ExitCode> {
     match Args::parse().command {
         Command::Eval { target } => eval::run(&target),
+        Command::Bench { part } => bench::run(&part),
         Command::Tidy => tidy::run(),
     }
 }

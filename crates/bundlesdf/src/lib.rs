@@ -41,6 +41,7 @@ pub mod output;
 mod pool;
 pub mod report;
 mod rigid;
+pub mod segmenter;
 mod surface;
 pub mod texture;
 mod tracker;
@@ -55,8 +56,9 @@ pub use observation::{Observation, Unusable};
 pub use output::OutputFolder;
 pub use pool::{Keyframe, MemoryPool};
 pub use report::{KeyframeReport, RoundReport, RunReport};
+pub use segmenter::SegmenterChoice;
 pub use tracker::{FieldSummary, FrameResult, Reconstruction, StageTimes, Status, Tracker};
-pub use video::{Observer, RunError, VideoRun, run_video};
+pub use video::{Observer, RunError, VideoRun, run_tracker, run_video};
 
 #[cfg(doctest)]
 #[doc = include_str!("../README.md")]

@@ -16,7 +16,7 @@ mod published;
 mod queue;
 mod report;
 mod score;
-mod synth;
+pub(crate) mod synth;
 mod table;
 mod track;
 mod video;

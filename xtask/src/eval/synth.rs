@@ -11,7 +11,7 @@ const COMPLETE: &str = "complete";
 pub(super) const GIVEN: &str = "given_masks";
 
 /// Names of the suite's sequences below `data`, made if they aren't there yet; all of the suite when `names` is empty.
-pub(super) fn prepare(names: &[String], data: &Path) -> anyhow::Result<Vec<String>> {
+pub(crate) fn prepare(names: &[String], data: &Path) -> anyhow::Result<Vec<String>> {
     let all = || Sequence::suite().map(str::to_owned).collect();
     let names: Vec<String> = if names.is_empty() { all() } else { names.to_vec() };
     names.iter().map(|name| make(name, data)).collect()

@@ -34,7 +34,7 @@ pub(super) fn demo(args: &DemoArgs, log: Log) -> anyhow::Result<ExitCode> {
     let source: Arc<dyn FrameSource> = Arc::new(video.clone());
     let given = if args.masks == DemoMasks::All { "all" } else { "first" };
     let input = VideoInput::Synthetic { name: "demo".into(), masks: given.into(), frames: video.len() };
-    let (run, report) = track(source, input, &config, schedule, &folder, log)?;
+    let (run, report) = track(source, input, (&config, schedule, &args.how.segmenter), &folder, log)?;
     let truth: Vec<_> = (0..run.frames.len()).map(|i| video.cam_from_obj(i)).collect();
     let truth = Truth {
         cam_from_obj: &truth,

@@ -6,6 +6,7 @@ mod demo;
 mod draw;
 mod export;
 mod log;
+mod mask;
 mod progress;
 mod report;
 mod run;
@@ -32,6 +33,8 @@ const AFTER_HELP: &str = "\
 Examples:
   bundlesdf demo                          track and reconstruct a built-in synthetic video
   bundlesdf check VIDEO                   see what is in a folder and what is wrong with it
+  bundlesdf mask VIDEO --box 210,130,180,240
+                                          cut the first mask out of a box around the object
   bundlesdf run VIDEO --out OUT           track VIDEO from the mask of its first frame
   bundlesdf run VIDEO --out OUT --masks all --schedule realtime
   bundlesdf export OUT --canonical --sim  write textured meshes and simulator files of a finished run
@@ -66,6 +69,8 @@ enum Command {
     Run(RunArgs),
     /// Look at a video folder: what is in it, what is wrong, and what to do about it.
     Check(CheckArgs),
+    /// Make the first frame's mask from a box around the object, or from points on it.
+    Mask(mask::MaskArgs),
     /// Turn the results of a run into assets: textured GLB, OBJ, PLY and STL, and bodies for simulators.
     Export(export::ExportArgs),
     /// Write report.html into a results folder again: model, timeline, poses on frames, losses, config.
@@ -202,6 +207,10 @@ struct HowArgs {
     /// lockstep: the tracker waits for the field (reproducible). realtime: it never waits.
     #[arg(long, value_enum, default_value_t = ScheduleArg::Lockstep)]
     schedule: ScheduleArg,
+    /// Where masks come from: `propagate` (built in), `folder:DIR` (PNG files of any naming and size), or
+    /// `command:PROGRAM` (a program fed frames and answering masks, see docs/masks.md).
+    #[arg(long, default_value = "propagate", value_name = "HOW")]
+    segmenter: bundlesdf::SegmenterChoice,
     /// Where the field is trained.
     #[arg(long, value_enum, default_value_t = Device::Auto)]
     device: Device,
@@ -285,6 +294,7 @@ fn dispatch(command: &Command, log: Log) -> anyhow::Result<ExitCode> {
         Command::Demo(args) => demo::demo(args, log),
         Command::Run(args) => run::run(args, log),
         Command::Check(args) => check::check(args),
+        Command::Mask(args) => mask::mask(args),
         Command::Report(args) => report::report(args),
         Command::Export(args) => export::run(args),
         Command::Draw(args) => draw::draw(args, log),

@@ -3,7 +3,8 @@
 use std::{io::Write, process::ExitCode, sync::Arc};
 
 use bundlesdf::{
-    Config, OutputFolder, RunReport, Schedule, Status, VideoInput, VideoRun, input::mask_source, run_video,
+    Config, OutputFolder, RunReport, Schedule, SegmenterChoice, Status, Tracker, VideoInput, VideoRun,
+    input::mask_source, run_tracker, segmenter::OnTrouble,
 };
 use rgbd_io::{CustomOptions, FrameSource};
 
@@ -47,7 +48,7 @@ pub(super) fn run(args: &RunArgs, log: Log) -> anyhow::Result<ExitCode> {
     let input = video_input(args)?;
     let source = input.open()?;
     let folder = OutputFolder::create(&args.out, args.force)?;
-    let (run, report) = track(source, input, &config, schedule, &folder, log)?;
+    let (run, report) = track(source, input, (&config, schedule, &args.how.segmenter), &folder, log)?;
     write_report(&folder, log);
     log.summary(&report, &folder);
     print(&summary(&report, &folder));
@@ -67,15 +68,17 @@ pub(super) fn run(args: &RunArgs, log: Log) -> anyhow::Result<ExitCode> {
 pub(super) fn track(
     source: Arc<dyn FrameSource>,
     input: VideoInput,
-    config: &Config,
-    schedule: Schedule,
+    (config, schedule, segmenter): (&Config, Schedule, &SegmenterChoice),
     folder: &OutputFolder,
     log: Log,
 ) -> anyhow::Result<(VideoRun, RunReport)> {
+    let on_trouble: OnTrouble = Arc::new(move |text: &str| log.warning(text));
+    let segmenter = segmenter.build(&*source, on_trouble)?;
+    let tracker = Tracker::new(config.clone(), schedule)?.with_segmenter(segmenter);
     let stop = stop_flag();
     log.start(source.len(), &input, folder);
     let mut progress = Progress::new(source.len(), folder, log);
-    let run = run_video(source, config, schedule, &stop, &mut progress);
+    let run = run_tracker(source, tracker, &stop, &mut progress);
     progress.close();
     let run = run?;
     folder.write_reconstruction(&run.reconstruction)?;
