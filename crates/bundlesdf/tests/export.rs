@@ -53,6 +53,7 @@ fn finished_run(dir: &Path) -> OutputFolder {
         wall_s: 0.0,
         mesh: MeshReport::default(),
         interrupted: false,
+        warnings: Vec::new(),
     };
     folder.write_report(&report).unwrap();
     folder
