@@ -1,5 +1,5 @@
 //! From a finished results folder to assets, with true poses and the true mesh in place of a tracked one.
-#![allow(clippy::unwrap_used, clippy::expect_used)]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use std::{
     fs,
@@ -53,6 +53,7 @@ fn finished_run(dir: &Path) -> OutputFolder {
         wall_s: 0.0,
         mesh: MeshReport::default(),
         interrupted: false,
+        warnings: Vec::new(),
     };
     folder.write_report(&report).unwrap();
     folder
