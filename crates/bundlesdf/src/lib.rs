@@ -25,12 +25,16 @@
 //! waits for each round and a run is reproducible, with [`Schedule::Realtime`] it never waits.
 
 mod ablation;
+pub mod canonical;
 pub mod config;
 mod depth;
+pub mod draw;
 pub mod evaluate;
+pub mod export;
 mod field_model;
 mod field_worker;
 mod global_graph;
+pub mod html;
 pub mod input;
 pub mod observation;
 pub mod output;
@@ -38,8 +42,10 @@ mod pool;
 pub mod report;
 mod rigid;
 mod surface;
+pub mod texture;
 mod tracker;
 mod video;
+mod zoom;
 
 pub use ablation::Ablation;
 pub use config::{Config, ConfigError, Schedule};
@@ -48,7 +54,7 @@ pub use input::VideoInput;
 pub use observation::{Observation, Unusable};
 pub use output::OutputFolder;
 pub use pool::{Keyframe, MemoryPool};
-pub use report::{KeyframeReport, RunReport};
+pub use report::{KeyframeReport, RoundReport, RunReport};
 pub use tracker::{FieldSummary, FrameResult, Reconstruction, StageTimes, Status, Tracker};
 pub use video::{Observer, RunError, VideoRun, run_video};
 

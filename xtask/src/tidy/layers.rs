@@ -8,7 +8,7 @@ const FLOORS: [&[&str]; 5] = [
     &["octree-sampler", "matcher", "marching-cubes", "eval-metrics"],
     &["neural-field", "posegraph", "mask-tracker", "rgbd-synth", "baselines"],
     &["bundlesdf"],
-    &["xtask"],
+    &["xtask", "fuzz-targets"],
 ];
 
 fn floor(name: &str) -> Option<usize> {

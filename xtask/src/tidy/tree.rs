@@ -4,7 +4,7 @@ use std::io;
 use std::path::Path;
 
 /// What holds no sources; the same as in .gitignore. In a second working tree `.git` is a file.
-const SKIPPED: [&str; 4] = ["target", ".git", "out", "bundlesdf-demo"];
+const SKIPPED: [&str; 6] = ["target", ".git", "out", "bundlesdf-demo", "corpus", "artifacts"];
 /// No source is larger than this, bytes.
 const LARGEST: u64 = 2 << 20;
 
