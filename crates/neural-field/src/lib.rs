@@ -41,15 +41,23 @@
 //!
 //! The training step is written out as equations in `docs/field.md` of the repository.
 
+// The scenes of the integration tests name the crate.
+#[cfg(all(test, feature = "gpu"))]
+extern crate self as neural_field;
+
 mod adam;
 mod color;
 mod config;
+mod cpu;
+mod draws;
 mod eikonal;
 mod engine;
 mod error;
 mod field;
 mod frame;
 mod gemm;
+#[cfg(any(test, feature = "gpu"))]
+mod gpu;
 #[cfg(test)]
 mod gradient_check;
 mod grid;
@@ -61,6 +69,7 @@ mod pose;
 mod query;
 mod rays;
 mod real;
+mod round;
 mod sampler;
 mod simd;
 mod tile;
@@ -68,9 +77,13 @@ mod train;
 mod volume;
 
 pub use config::{FieldConfig, LossWeights};
+pub use cpu::CpuRound;
 pub use error::FieldError;
 pub use field::TrainedField;
 pub use frame::FieldImages;
+#[cfg(feature = "gpu")]
+pub use gpu::{Gpu, GpuRound};
+pub use round::Engine;
 pub use train::{Control, Progress, StepLosses, train};
 
 #[cfg(doctest)]
