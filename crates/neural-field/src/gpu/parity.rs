@@ -250,7 +250,7 @@ fn twenty_steps_and_queries_agree() {
 
     gpu.download().unwrap();
     let expect = cpu.engine.parameters();
-    let mut check = |name: &str, d: f64| {
+    let check = |name: &str, d: f64| {
         println!("{name}: {d:.1e}");
         assert!(d < 1e-3, "{name}: {d:.1e}");
     };
@@ -305,4 +305,43 @@ fn a_lost_device_is_an_error() {
     let outcome = round.train(20, &Control::default());
     println!("{outcome:?}");
     assert!(matches!(outcome, Err(FieldError::Gpu(_))));
+}
+
+#[test]
+fn zz_diagnose() {
+    let Some(gpu) = adapter(false) else { return };
+    for (name, config) in [
+        ("pose_start 0", config()),
+        ("default pose start", FieldConfig { pose_start: 0.05, ..config() }),
+        ("poses fixed", FieldConfig { pose_learning_rate: 0.0, ..config() }),
+        ("more rays", FieldConfig { surface_rays: 192, ring_rays: 64, pose_start: 0.05, ..config() }),
+    ] {
+        let (mut cpu, mut gpu) = rounds(&gpu, &config);
+        let (frames, mut poses) = frames();
+        for p in &mut poses {
+            p.translation.vector *= 1.0 + 1e-6;
+        }
+        let mut nudged = CpuRound::new(&config, &frames, &poses).unwrap();
+        println!("== {name}");
+        for step in 0..20 {
+            cpu.train(1, &Control::default()).unwrap();
+            gpu.train(1, &Control::default()).unwrap();
+            nudged.train(1, &Control::default()).unwrap();
+            gpu.download().unwrap();
+            let flat = |tables: &[Vec<f32>]| tables.iter().flatten().copied().collect::<Vec<f32>>();
+            let far = |g: &crate::field::Parameters, t: &[Vector6<f64>], l: &[StepLosses]| {
+                let e = cpu.engine.parameters();
+                let theta = |t: &[Vector6<f64>]| t.iter().flat_map(|v| v.iter().map(|x| *x as f32 + 1e-30)).collect::<Vec<f32>>();
+                let loss = losses(&l[step..]).iter().zip(losses(&cpu.losses()[step..])).map(|(a, b)| (0..5).map(|l| (a[l] - b[l]).abs() / b.iter().sum::<f64>()).fold(0.0, f64::max)).fold(0.0, f64::max);
+                format!("loss {loss:.1e} grid {:.1e} net {:.1e} theta {:.1e}",
+                    distance(flat(&g.grid.tables), flat(&e.grid.tables)),
+                    distance(g.weights.clone(), e.weights),
+                    distance(theta(t), theta(&cpu.round.corrections.theta)))
+            };
+            if [0, 1, 2, 4, 9, 14, 19].contains(&step) {
+                println!("{step}: gpu {} | nudged {}", far(&gpu.parameters, &gpu.round.corrections.theta, gpu.losses()),
+                    far(&nudged.engine.parameters(), &nudged.round.corrections.theta, nudged.losses()));
+            }
+        }
+    }
 }
