@@ -71,6 +71,9 @@ pub struct CoarseConfig {
     pub hypotheses: usize,
     /// Largest distance of an inlier (metres, at 0.5 m; grows with the depth noise).
     pub inlier_distance: f64,
+    /// Largest part of that distance across the line of sight (pixels; widened by what the depth noise adds when the
+    /// view turns).
+    pub inlier_lateral_px: f64,
     /// Largest angle between the normals of an inlier (degrees).
     pub inlier_normal_deg: f64,
     /// Fewest inliers for a motion to be believed.
@@ -90,6 +93,7 @@ impl Default for CoarseConfig {
             max_corners_memory: 120,
             hypotheses: 500,
             inlier_distance: 0.006,
+            inlier_lateral_px: 2.0,
             inlier_normal_deg: 45.0,
             min_inliers: 8,
             min_relocalise_inliers: 11,
@@ -103,7 +107,12 @@ impl Default for CoarseConfig {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct MemoryConfig {
-    /// Smallest swing angle (rotation without roll about the optical axis) to every keyframe (degrees).
+    /// Without memory each frame is compared with the previous one alone.
+    pub enabled: bool,
+    /// What counts as a new view, and which keyframes take part in the pose graph.
+    pub rule: KeyframeRule,
+    /// Smallest angle to every keyframe (degrees): of swing (rotation without roll about the optical axis), or by the
+    /// rule `full-rotation` of the whole rotation.
     pub min_swing_deg: f64,
     /// Fewest depth pixels of a keyframe, as a share of the first frame's.
     pub min_valid_share: f64,
@@ -120,6 +129,8 @@ pub struct MemoryConfig {
 impl Default for MemoryConfig {
     fn default() -> Self {
         Self {
+            enabled: true,
+            rule: KeyframeRule::Compact,
             min_swing_deg: 5.0,
             min_valid_share: 0.1,
             capacity: 64,
@@ -128,6 +139,19 @@ impl Default for MemoryConfig {
             visible_deg: 70.0,
         }
     }
+}
+
+/// How keyframes are told apart and chosen.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum KeyframeRule {
+    /// By the swing of the optical axis; roll shows nothing new. The visible keyframes nearest to the new frame take
+    /// part (paper section 3.2 and 3.3).
+    #[default]
+    Compact,
+    /// By the whole rotation, roll included; those with the least total distance among each other and to the new
+    /// frame take part (Wen and Bekris, *BundleTrack*, IROS 2021, section III-D).
+    FullRotation,
 }
 
 /// Online pose-graph optimisation (paper eq. L_pg).
@@ -168,8 +192,11 @@ impl Default for GraphConfig {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct FieldSettings {
-    /// Without the field the system is the tracker and its pose graph alone, and there is no mesh.
-    pub enabled: bool,
+    /// What refines the keyframes beside the tracker; only the field makes a mesh.
+    pub refiner: Refiner,
+    /// Rays around the mask tell the field where the object is not, and where that is uncertain (the paper's hybrid
+    /// SDF); without them it sees the inside of the masks only.
+    pub hybrid: bool,
     /// Keyframes before the first round (paper: 10, the authors' release: 5).
     pub first_round_keyframes: usize,
     /// New keyframes that start a further round in the `lockstep` schedule.
@@ -187,7 +214,8 @@ pub struct FieldSettings {
 impl Default for FieldSettings {
     fn default() -> Self {
         Self {
-            enabled: true,
+            refiner: Refiner::Field,
+            hybrid: true,
             first_round_keyframes: 5,
             keyframes_per_round: 4,
             steps: 200,
@@ -196,6 +224,19 @@ impl Default for FieldSettings {
             max_rotation_deg: 20.0,
         }
     }
+}
+
+/// What refines the keyframes' poses beside the tracker.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Refiner {
+    /// The Neural Object Field.
+    #[default]
+    Field,
+    /// A pose graph over all keyframes (the paper's GPG ablation).
+    PoseGraph,
+    /// Nothing: the tracker and its online pose graph alone.
+    None,
 }
 
 /// Extraction of the final mesh.
@@ -234,6 +275,17 @@ pub struct ConfigError {
 }
 
 impl Config {
+    /// The tracker that the paper builds on: keyframes and their choice as in BundleTrack (Wen and Bekris, IROS 2021),
+    /// an online pose graph, no field and no mesh.
+    #[must_use]
+    pub fn bundletrack() -> Self {
+        let mut config = Self::default();
+        config.field.refiner = Refiner::None;
+        config.memory.rule = KeyframeRule::FullRotation;
+        config.memory.min_swing_deg = 10.0;
+        config
+    }
+
     /// Reads a TOML text; `path` names it in errors.
     ///
     /// # Errors
@@ -276,6 +328,7 @@ impl Config {
         within("coarse.hypotheses", c.hypotheses, 1..=100_000)?;
         within("coarse.min_inliers", c.min_inliers, 3..=1000)?;
         positive("coarse.inlier_distance", c.inlier_distance)?;
+        positive("coarse.inlier_lateral_px", c.inlier_lateral_px)?;
         positive("coarse.inlier_normal_deg", c.inlier_normal_deg)?;
         positive("coarse.max_translation", c.max_translation)?;
         positive("coarse.max_rotation_deg", c.max_rotation_deg)?;

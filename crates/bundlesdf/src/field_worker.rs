@@ -1,4 +1,4 @@
-//! The field's thread: takes snapshots of the memory pool, trains a round, answers with poses and the field.
+//! The refiner's thread: takes snapshots of the memory pool, runs a round, answers with poses and the field.
 
 use std::{
     panic::{AssertUnwindSafe, catch_unwind},
@@ -12,23 +12,38 @@ use std::{
 
 use crossbeam_channel::{Receiver, Sender, bounded};
 use nalgebra::Isometry3;
-use neural_field::{Control, FieldConfig, FieldImages, TrainedField};
+use neural_field::{Control, FieldConfig, TrainedField};
+
+use crate::{config::GraphConfig, global_graph, observation::Observation, pool::MemoryEdge};
+
+/// What a round does.
+pub(crate) enum Round {
+    /// Trains a field, which refines the poses; then as [`Round::PoseGraph`], with the field's surface as one more
+    /// term: the field sees the whole surface and knows nothing of matches.
+    Field(FieldConfig),
+    /// Solves one pose graph over all keyframes.
+    PoseGraph,
+}
 
 /// An immutable snapshot of the pool.
 pub(crate) struct FieldRequest {
-    /// Settings of this round.
-    pub(crate) config: FieldConfig,
-    /// Frame index, images and current `obj_from_cam`; the first is the anchor.
-    pub(crate) frames: Vec<(usize, Arc<FieldImages>, Isometry3<f64>)>,
+    /// What to do.
+    pub(crate) round: Round,
+    /// Weights of the pose graph over all keyframes.
+    pub(crate) graph: GraphConfig,
+    /// Cached matches between keyframes by frame index, `(older, newer)`.
+    pub(crate) edges: Vec<((usize, usize), MemoryEdge)>,
+    /// Frame index, what was seen and current `obj_from_cam`; the first is the anchor.
+    pub(crate) frames: Vec<(usize, Arc<Observation>, Isometry3<f64>)>,
 }
 
 /// The result of one round.
 pub(crate) struct FieldUpdate {
     /// Refined `obj_from_cam` by frame index.
     pub(crate) poses: Vec<(usize, Isometry3<f64>)>,
-    /// The trained field.
-    pub(crate) field: Arc<TrainedField>,
-    /// Training steps of the round.
+    /// The trained field, if that was the task.
+    pub(crate) field: Option<Arc<TrainedField>>,
+    /// Training steps of the round, or iterations of the pose graph.
     pub(crate) steps: usize,
     /// Time of the round.
     pub(crate) elapsed: Duration,
@@ -110,23 +125,33 @@ impl Drop for FieldWorker {
     }
 }
 
-/// Trains one round; a panic inside becomes an error, so that tracking goes on.
+/// Runs one round; a panic inside becomes an error, so that tracking goes on.
 fn round(request: &FieldRequest, stop: &AtomicBool) -> FieldReply {
     let _span = tracing::info_span!("field_round", keyframes = request.frames.len()).entered();
     let start = Instant::now();
-    let images: Vec<_> = request.frames.iter().map(|(_, images, _)| images.clone()).collect();
+    let outcome = catch_unwind(AssertUnwindSafe(|| match &request.round {
+        Round::Field(config) => train(config, request, stop),
+        Round::PoseGraph => {
+            let poses: Vec<_> = request.frames.iter().map(|(_, _, pose)| *pose).collect();
+            let poses = global_graph::optimise(request, &poses, None)
+                .ok_or("the global pose graph could not be solved")?;
+            Ok((poses, None, request.graph.iterations))
+        }
+    }));
+    let (poses, field, steps) =
+        outcome.map_err(|_| "the round failed unexpectedly (a panic inside)".to_owned())??;
+    let poses = request.frames.iter().map(|(index, _, _)| *index).zip(poses).collect();
+    Ok(FieldUpdate { poses, field, steps, elapsed: start.elapsed() })
+}
+
+type Outcome = (Vec<Isometry3<f64>>, Option<Arc<TrainedField>>, usize);
+
+fn train(config: &FieldConfig, request: &FieldRequest, stop: &AtomicBool) -> Result<Outcome, String> {
+    let images: Vec<_> = request.frames.iter().map(|(_, seen, _)| seen.images.clone()).collect();
     let poses: Vec<_> = request.frames.iter().map(|(_, _, pose)| *pose).collect();
     let control = Control { stop: Some(stop), progress: None };
-    let trained =
-        catch_unwind(AssertUnwindSafe(|| neural_field::train(&request.config, &images, &poses, &control)))
-            .map_err(|_| "the field's training failed unexpectedly".to_owned())?
-            .map_err(|e| e.to_string())?;
-    let refined =
-        request.frames.iter().map(|(index, _, _)| *index).zip(trained.poses().iter().copied()).collect();
-    Ok(FieldUpdate {
-        poses: refined,
-        field: Arc::new(trained),
-        steps: request.config.steps,
-        elapsed: start.elapsed(),
-    })
+    let trained = neural_field::train(config, &images, &poses, &control).map_err(|e| e.to_string())?;
+    let joint = global_graph::optimise(request, trained.poses(), Some(&trained));
+    let poses = joint.unwrap_or_else(|| trained.poses().to_vec());
+    Ok((poses, Some(Arc::new(trained)), config.steps))
 }

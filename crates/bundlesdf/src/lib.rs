@@ -24,10 +24,14 @@
 //! it, the field's thread gets immutable snapshots and answers with poses. With [`Schedule::Lockstep`] the tracker
 //! waits for each round and a run is reproducible, with [`Schedule::Realtime`] it never waits.
 
+mod ablation;
 pub mod config;
 mod depth;
 pub mod evaluate;
+mod field_model;
 mod field_worker;
+mod global_graph;
+pub mod input;
 pub mod observation;
 pub mod output;
 mod pool;
@@ -37,12 +41,14 @@ mod surface;
 mod tracker;
 mod video;
 
+pub use ablation::Ablation;
 pub use config::{Config, ConfigError, Schedule};
 pub use depth::depth_sigma;
+pub use input::VideoInput;
 pub use observation::{Observation, Unusable};
 pub use output::OutputFolder;
 pub use pool::{Keyframe, MemoryPool};
-pub use report::RunReport;
+pub use report::{KeyframeReport, RunReport};
 pub use tracker::{FieldSummary, FrameResult, Reconstruction, StageTimes, Status, Tracker};
 pub use video::{Observer, RunError, VideoRun, run_video};
 

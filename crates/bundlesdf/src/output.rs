@@ -8,15 +8,18 @@ use std::{
 use marching_cubes::TriMesh;
 use nalgebra::Isometry3;
 use rgbd_io::{
-    Error,
+    Error, Mask,
     poses::{format_pose, write_atomic},
 };
-use serde::Serialize;
+use serde::{Serialize, de::DeserializeOwned};
 
 use crate::{
     report::{KeyframeReport, RunReport},
     tracker::Reconstruction,
 };
+
+const POSES: &str = "ob_in_cam";
+const MASKS: &str = "masks";
 
 /// A folder that holds one run's results.
 #[derive(Clone, Debug)]
@@ -31,7 +34,7 @@ impl OutputFolder {
     /// When it can't be created, or already holds a run and `replace` is not set. With `replace` the earlier run's
     /// files are removed, nothing else.
     pub fn create(root: &Path, replace: bool) -> Result<Self, Error> {
-        let poses = root.join("ob_in_cam");
+        let (poses, masks) = (root.join(POSES), root.join(MASKS));
         let earlier = poses.exists() || root.join("run.json").exists();
         if earlier && !replace {
             return Err(Error::new(
@@ -44,9 +47,11 @@ impl OutputFolder {
             Error::new(path, format!("can't be prepared ({problem})"), "choose a folder you may write to")
         };
         if earlier {
-            remove_earlier_run(root, &poses).map_err(|e| failed(root, &e))?;
+            remove_earlier_run(root).map_err(|e| failed(root, &e))?;
         }
-        fs::create_dir_all(&poses).map_err(|e| failed(&poses, &e))?;
+        for dir in [&poses, &masks] {
+            fs::create_dir_all(dir).map_err(|e| failed(dir, &e))?;
+        }
         Ok(Self { root: root.to_owned() })
     }
 
@@ -61,8 +66,70 @@ impl OutputFolder {
     /// # Errors
     /// When the file can't be written.
     pub fn write_pose(&self, id: &str, cam_from_obj: &Isometry3<f64>) -> Result<(), Error> {
-        let path = self.root.join("ob_in_cam").join(format!("{id}.txt"));
+        let path = self.root.join(POSES).join(format!("{id}.txt"));
         write_atomic(&path, format_pose(cam_from_obj).as_bytes())
+    }
+
+    /// Writes `masks/<id>.png`: the mask that the frame was tracked with, white = object.
+    ///
+    /// # Errors
+    /// When the file can't be written.
+    pub fn write_mask(&self, id: &str, mask: &Mask) -> Result<(), Error> {
+        rgbd_io::write_png_mask(&self.root.join(MASKS).join(format!("{id}.png")), mask)
+    }
+
+    /// Opens a folder that already holds a run's results.
+    ///
+    /// # Errors
+    /// When there is no `run.json` in it.
+    pub fn open(root: &Path) -> Result<Self, Error> {
+        if root.join("run.json").is_file() {
+            return Ok(Self { root: root.to_owned() });
+        }
+        let remedy = "give a folder that `bundlesdf run` or `bundlesdf demo` has written to the end";
+        Err(Error::new(root, "holds no run.json", remedy))
+    }
+
+    /// Reads `run.json`.
+    ///
+    /// # Errors
+    /// When it is missing or not of this version.
+    pub fn read_report(&self) -> Result<RunReport, Error> {
+        self.read_json("run.json")
+    }
+
+    /// Reads `keyframes.json`.
+    ///
+    /// # Errors
+    /// When it is missing or not of this version.
+    pub fn read_keyframes(&self) -> Result<Vec<KeyframeReport>, Error> {
+        self.read_json("keyframes.json")
+    }
+
+    /// Reads `ob_in_cam/<id>.txt`: `cam_from_obj`.
+    ///
+    /// # Errors
+    /// When it is missing or not a pose.
+    pub fn read_pose(&self, id: &str) -> Result<Isometry3<f64>, Error> {
+        rgbd_io::poses::read_pose(&self.root.join(POSES).join(format!("{id}.txt")))
+    }
+
+    /// Reads `masks/<id>.png`.
+    ///
+    /// # Errors
+    /// When it is missing or not an image.
+    pub fn read_mask(&self, id: &str) -> Result<Mask, Error> {
+        rgbd_io::read_mask(&self.root.join(MASKS).join(format!("{id}.png")))
+    }
+
+    fn read_json<T: DeserializeOwned>(&self, name: &str) -> Result<T, Error> {
+        let path = self.root.join(name);
+        let text = fs::read_to_string(&path)
+            .map_err(|e| Error::new(&path, format!("can't be read ({e})"), "run the video again"))?;
+        serde_json::from_str(&text).map_err(|e| {
+            let problem = format!("isn't what this version writes ({e})");
+            Error::new(&path, problem, "run the video again with this version")
+        })
     }
 
     /// Writes `mesh.obj`, `mesh.ply` (when there is a mesh) and `keyframes.json`.
@@ -114,11 +181,14 @@ impl OutputFolder {
 }
 
 /// Removes what an earlier run wrote under its own names.
-fn remove_earlier_run(root: &Path, poses: &Path) -> std::io::Result<()> {
-    if poses.is_dir() {
-        for entry in fs::read_dir(poses)? {
+fn remove_earlier_run(root: &Path) -> std::io::Result<()> {
+    for (dir, kind) in [(root.join(POSES), "txt"), (root.join(MASKS), "png")] {
+        if !dir.is_dir() {
+            continue;
+        }
+        for entry in fs::read_dir(dir)? {
             let path = entry?.path();
-            if path.extension().is_some_and(|e| e == "txt") {
+            if path.extension().is_some_and(|e| e == kind) {
                 fs::remove_file(path)?;
             }
         }

@@ -3,9 +3,12 @@
 use std::{collections::HashMap, sync::Arc};
 
 use nalgebra::Isometry3;
-use se3_lie::distance::swing_angle;
+use se3_lie::distance::{rotation_angle, swing_angle};
 
-use crate::{config::MemoryConfig, observation::Observation};
+use crate::{
+    config::{KeyframeRule, MemoryConfig},
+    observation::Observation,
+};
 
 /// One remembered frame.
 #[derive(Clone, Debug)]
@@ -57,11 +60,29 @@ impl MemoryPool {
         self.edges.get(&(older, newer))
     }
 
+    /// All cached matches, by frame index, in a fixed order.
+    pub(crate) fn all_edges(&self) -> Vec<((usize, usize), MemoryEdge)> {
+        let mut edges: Vec<_> = self.edges.iter().map(|(key, edge)| (*key, edge.clone())).collect();
+        edges.sort_unstable_by_key(|(key, _)| *key);
+        edges
+    }
+
     /// Whether `obj_from_cam` adds a view: its optical axis differs from every keyframe's by the minimum swing angle
     /// (roll about the optical axis shows nothing new).
     pub fn is_new_view(&self, obj_from_cam: &Isometry3<f64>, config: &MemoryConfig) -> bool {
         let least = config.min_swing_deg.to_radians();
-        self.keyframes.iter().all(|k| swing_angle(&k.obj_from_cam.rotation, &obj_from_cam.rotation) >= least)
+        let angle = |k: &Keyframe| match config.rule {
+            KeyframeRule::Compact => swing_angle(&k.obj_from_cam.rotation, &obj_from_cam.rotation),
+            KeyframeRule::FullRotation => rotation_angle(&k.obj_from_cam.rotation, &obj_from_cam.rotation),
+        };
+        self.keyframes.iter().all(|k| angle(k) >= least)
+    }
+
+    /// Makes `keyframe` the only one: memory that is switched off still has the previous frame.
+    pub(crate) fn replace_all(&mut self, keyframe: Keyframe) {
+        self.keyframes.clear();
+        self.edges.clear();
+        self.keyframes.push(keyframe);
     }
 
     /// Adds a keyframe with its matches to older ones; beyond the capacity the most redundant keyframe goes.
@@ -99,6 +120,9 @@ impl MemoryPool {
         if self.keyframes.len() <= config.selected {
             return (0..self.keyframes.len()).collect();
         }
+        if config.rule == KeyframeRule::FullRotation {
+            return self.select_nearest_set(obj_from_cam, config.selected);
+        }
         let mut visible: Vec<(f64, usize)> = self
             .keyframes
             .iter()
@@ -112,6 +136,26 @@ impl MemoryPool {
         visible.sort_unstable_by(|a, b| a.0.total_cmp(&b.0));
         visible.truncate(config.selected);
         let mut chosen: Vec<usize> = visible.into_iter().map(|(_, i)| i).collect();
+        chosen.sort_unstable();
+        chosen
+    }
+
+    /// Greedy choice of the `count` keyframes with the least total rotation distance to the new frame and to each
+    /// other (BundleTrack's minimum subgraph).
+    fn select_nearest_set(&self, obj_from_cam: &Isometry3<f64>, count: usize) -> Vec<usize> {
+        let distance = |i: usize, to: &Isometry3<f64>| {
+            rotation_angle(&self.keyframes[i].obj_from_cam.rotation, &to.rotation)
+        };
+        let mut total: Vec<f64> = (0..self.keyframes.len()).map(|i| distance(i, obj_from_cam)).collect();
+        let mut chosen: Vec<usize> = Vec::with_capacity(count);
+        while chosen.len() < count {
+            let free = (0..total.len()).filter(|i| !chosen.contains(i));
+            let Some(next) = free.min_by(|a, b| total[*a].total_cmp(&total[*b])) else { break };
+            for (i, sum) in total.iter_mut().enumerate() {
+                *sum += distance(i, &self.keyframes[next].obj_from_cam);
+            }
+            chosen.push(next);
+        }
         chosen.sort_unstable();
         chosen
     }

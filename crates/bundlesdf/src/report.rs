@@ -1,20 +1,26 @@
 //! `run.json` and `keyframes.json`: what a run did, for programs.
 
 use marching_cubes::TriMesh;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use crate::{
-    config::Config,
+    config::{Config, Schedule},
+    input::VideoInput,
     pool::Keyframe,
     tracker::{FieldSummary, FrameResult, Status},
     video::VideoRun,
 };
 
 /// The content of `run.json`.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct RunReport {
     /// Version of this crate.
-    pub version: &'static str,
+    pub version: String,
+    /// Where the frames came from; `None` when a program fed them.
+    #[serde(default)]
+    pub input: Option<VideoInput>,
+    /// How the tracker and the field took turns.
+    pub schedule: Schedule,
     /// The config that was used, defaults included.
     pub config: Config,
     /// One entry per frame.
@@ -34,7 +40,7 @@ pub struct RunReport {
 }
 
 /// One frame of `run.json`.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct FrameReport {
     /// Name of the frame.
     pub id: String,
@@ -51,7 +57,7 @@ pub struct FrameReport {
 }
 
 /// Milliseconds by stage.
-#[derive(Clone, Copy, Debug, Serialize)]
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 pub struct StageMillis {
     /// Segmentation.
     pub segment: f64,
@@ -65,7 +71,7 @@ pub struct StageMillis {
 }
 
 /// The mesh in numbers.
-#[derive(Clone, Copy, Debug, Default, Serialize)]
+#[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
 pub struct MeshReport {
     /// Vertices.
     pub vertices: usize,
@@ -84,12 +90,14 @@ impl MeshReport {
 impl RunReport {
     /// Summarises a run.
     #[must_use]
-    pub fn new(config: &Config, run: &VideoRun) -> Self {
+    pub fn new(config: &Config, schedule: Schedule, run: &VideoRun) -> Self {
         let mut totals: Vec<f64> = run.frames.iter().map(|f| f.times.total.as_secs_f64()).collect();
         totals.sort_unstable_by(f64::total_cmp);
         let median = totals.get(totals.len() / 2).copied().unwrap_or(0.0);
         Self {
-            version: env!("CARGO_PKG_VERSION"),
+            version: env!("CARGO_PKG_VERSION").to_owned(),
+            input: None,
+            schedule,
             config: config.clone(),
             frames: run.frames.iter().map(FrameReport::of).collect(),
             keyframes: run.reconstruction.keyframes.len(),
@@ -129,13 +137,16 @@ impl FrameReport {
 }
 
 /// One keyframe of `keyframes.json`.
-#[derive(Clone, Debug, Serialize)]
-pub(crate) struct KeyframeReport {
-    index: usize,
-    id: String,
-    /// Row-major 4x4, object to camera.
-    cam_from_obj: [[f64; 4]; 4],
-    refined_by_field: bool,
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct KeyframeReport {
+    /// Number of the frame in the video.
+    pub index: usize,
+    /// Name of the frame.
+    pub id: String,
+    /// Row-major 4x4, object to camera, metres.
+    pub cam_from_obj: [[f64; 4]; 4],
+    /// Whether the field has refined this pose.
+    pub refined_by_field: bool,
 }
 
 impl KeyframeReport {

@@ -50,11 +50,11 @@ pub enum RunError {
 
 /// What a run tells while it goes on.
 pub trait Observer {
-    /// A frame was tracked; `keyframes` is the size of the memory pool.
+    /// A frame was tracked; `tracker` shows the mask it used, the memory pool and the newest field.
     ///
     /// # Errors
     /// An error (say, of a disk that is full) ends the run.
-    fn frame(&mut self, result: &FrameResult, keyframes: usize) -> Result<(), rgbd_io::Error>;
+    fn frame(&mut self, result: &FrameResult, tracker: &Tracker) -> Result<(), rgbd_io::Error>;
 
     /// A frame could not be read and counts as lost.
     fn unreadable(&mut self, _error: &rgbd_io::Error) {}
@@ -97,7 +97,7 @@ pub fn run_video(
                 tracker.skip(source.id(index))
             }
         };
-        observer.frame(&result, tracker.pool().keyframes().len()).map_err(RunError::Output)?;
+        observer.frame(&result, &tracker).map_err(RunError::Output)?;
         frames.push(result);
     }
     observer.finishing();

@@ -3,7 +3,7 @@
 use std::{process::ExitCode, sync::Arc};
 
 use bundlesdf::{
-    OutputFolder, Status,
+    OutputFolder, Status, VideoInput,
     evaluate::{Scores, Truth, evaluate},
 };
 use rgbd_io::FrameSource;
@@ -30,7 +30,9 @@ pub(super) fn demo(args: &DemoArgs) -> anyhow::Result<ExitCode> {
         video.len()
     ));
     let source: Arc<dyn FrameSource> = Arc::new(video.clone());
-    let (run, report) = track(source, &config, schedule, &folder)?;
+    let given = if args.masks == DemoMasks::All { "all" } else { "first" };
+    let input = VideoInput::Synthetic { name: "demo".into(), masks: given.into(), frames: video.len() };
+    let (run, report) = track(source, input, &config, schedule, &folder)?;
     let truth: Vec<_> = (0..run.frames.len()).map(|i| video.cam_from_obj(i)).collect();
     let truth = Truth {
         cam_from_obj: &truth,

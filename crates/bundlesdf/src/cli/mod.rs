@@ -80,9 +80,15 @@ enum DemoMasks {
 
 #[derive(Args, Debug)]
 struct RunArgs {
-    /// Folder of the video.
+    /// Folder of the video; with --dataset the folder of the dataset.
     input: PathBuf,
-    /// Folder for the results: ob_in_cam/, mesh.obj, mesh.ply, keyframes.json, run.json.
+    /// The input is a published dataset: ho3d, ycbineoat, behave, bop, tum or custom.
+    #[arg(long, value_name = "NAME")]
+    dataset: Option<String>,
+    /// Name of the sequence in the dataset.
+    #[arg(long, value_name = "NAME", requires = "dataset")]
+    video: Option<String>,
+    /// Folder for the results: ob_in_cam/, masks/, mesh.obj, mesh.ply, keyframes.json, run.json.
     #[arg(long)]
     out: PathBuf,
     /// Replace the results of an earlier run in the folder.
@@ -125,6 +131,10 @@ struct HowArgs {
     /// TOML file with settings; what it leaves out keeps its default.
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
+    /// Take a part of the system out, as in the paper's table 4: no-memory, no-nof, gpg, no-hybrid-sdf or
+    /// no-compact-pool.
+    #[arg(long, value_name = "NAME", value_parser = ablation)]
+    ablate: Option<bundlesdf::Ablation>,
     /// lockstep: the tracker waits for the field (reproducible). realtime: it never waits.
     #[arg(long, value_enum, default_value_t = ScheduleArg::Lockstep)]
     schedule: ScheduleArg,
@@ -149,6 +159,13 @@ enum Device {
     Gpu,
 }
 
+fn ablation(name: &str) -> Result<bundlesdf::Ablation, String> {
+    bundlesdf::Ablation::from_name(name).ok_or_else(|| {
+        let names: Vec<_> = bundlesdf::Ablation::ALL.iter().map(|a| a.name()).collect();
+        format!("use one of {}", names.join(", "))
+    })
+}
+
 impl HowArgs {
     /// The config and schedule that these arguments ask for.
     fn resolve(&self) -> anyhow::Result<(bundlesdf::Config, bundlesdf::Schedule)> {
@@ -160,7 +177,7 @@ impl HowArgs {
             !(self.deterministic && self.schedule == ScheduleArg::Realtime),
             "--deterministic needs the lockstep schedule; leave out --schedule realtime"
         );
-        let config = match &self.config {
+        let mut config = match &self.config {
             None => bundlesdf::Config::default(),
             Some(path) => {
                 let text = std::fs::read_to_string(path).map_err(|e| {
@@ -172,6 +189,9 @@ impl HowArgs {
                 bundlesdf::Config::from_toml(&text, &path.display().to_string())?
             }
         };
+        if let Some(ablation) = self.ablate {
+            ablation.apply(&mut config);
+        }
         let schedule = match self.schedule {
             ScheduleArg::Lockstep => bundlesdf::Schedule::Lockstep,
             ScheduleArg::Realtime => bundlesdf::Schedule::Realtime,

@@ -1,8 +1,8 @@
-//! The progress bar, and an observer that writes each pose as it is made.
+//! The progress bar, and an observer that writes each pose and mask as it is made.
 
 use std::{io::IsTerminal, time::Duration};
 
-use bundlesdf::{FrameResult, Observer, OutputFolder, Status};
+use bundlesdf::{FrameResult, Observer, OutputFolder, Status, Tracker};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 
 /// Shows frames, rate, keyframes and the latest status while poses go to disk.
@@ -34,14 +34,18 @@ impl<'a> Progress<'a> {
 }
 
 impl Observer for Progress<'_> {
-    fn frame(&mut self, result: &FrameResult, keyframes: usize) -> Result<(), rgbd_io::Error> {
+    fn frame(&mut self, result: &FrameResult, tracker: &Tracker) -> Result<(), rgbd_io::Error> {
         self.lost += usize::from(result.status == Status::Lost);
+        let keyframes = tracker.pool().keyframes().len();
         self.bar.set_message(format!(
             "{}, {keyframes} keyframes, {} lost",
             result.status.as_str(),
             self.lost
         ));
         self.bar.inc(1);
+        if let Some(mask) = tracker.mask() {
+            self.folder.write_mask(&result.id, mask)?;
+        }
         self.folder.write_pose(&result.id, &result.cam_from_obj)
     }
 

@@ -1,33 +1,50 @@
 //! `bundlesdf run`.
 
-use std::{io::Write, path::PathBuf, process::ExitCode, sync::Arc};
+use std::{io::Write, process::ExitCode, sync::Arc};
 
-use bundlesdf::{Config, OutputFolder, RunReport, Schedule, Status, VideoRun, run_video};
-use rgbd_io::{CustomFolder, CustomOptions, FrameSource, MaskSource};
+use bundlesdf::{
+    Config, OutputFolder, RunReport, Schedule, Status, VideoInput, VideoRun, input::mask_source, run_video,
+};
+use rgbd_io::{CustomOptions, FrameSource};
 
 use super::{EXIT_BAD_INPUT, EXIT_INTERRUPTED, InputArgs, RunArgs, progress::Progress, stop_flag};
 
 /// How the input arguments read a custom folder.
 pub(super) fn custom_options(args: &InputArgs) -> CustomOptions {
-    let masks = match args.masks.as_str() {
-        "first" => MaskSource::First,
-        "all" => MaskSource::All,
-        folder => MaskSource::Folder(PathBuf::from(folder)),
-    };
     CustomOptions {
-        masks,
+        masks: mask_source(&args.masks),
         depth_scale: args.depth_scale,
         stride: args.stride as usize,
         first_mask: args.first_mask.clone(),
     }
 }
 
-/// Tracks a custom folder.
+/// The video that the arguments name.
+fn video_input(args: &RunArgs) -> anyhow::Result<VideoInput> {
+    let options = &args.input_options;
+    // What reads the results later may be started elsewhere.
+    let path = args.input.canonicalize().unwrap_or_else(|_| args.input.clone());
+    let (masks, stride) = (options.masks.clone(), options.stride as usize);
+    match (&args.dataset, &args.video) {
+        (Some(dataset), Some(video)) => {
+            let (dataset, video) = (dataset.clone(), video.clone());
+            Ok(VideoInput::Dataset { dataset, root: path, video, masks, stride })
+        }
+        (Some(_), None) => anyhow::bail!("--dataset needs --video: the name of the sequence"),
+        (None, _) => {
+            let (first_mask, depth_scale) = (options.first_mask.clone(), options.depth_scale);
+            Ok(VideoInput::Folder { path, masks, first_mask, stride, depth_scale })
+        }
+    }
+}
+
+/// Tracks a video.
 pub(super) fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     let (config, schedule) = args.how.resolve()?;
-    let source = CustomFolder::open(&args.input, &custom_options(&args.input_options))?;
+    let input = video_input(args)?;
+    let source = input.open()?;
     let folder = OutputFolder::create(&args.out, args.force)?;
-    let (run, report) = track(Arc::new(source), &config, schedule, &folder)?;
+    let (run, report) = track(source, input, &config, schedule, &folder)?;
     print(&summary(&report, &folder));
     Ok(match run.unreadable.first() {
         _ if run.interrupted => ExitCode::from(EXIT_INTERRUPTED),
@@ -44,6 +61,7 @@ pub(super) fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
 /// Runs the tracker with a progress bar and writes every result.
 pub(super) fn track(
     source: Arc<dyn FrameSource>,
+    input: VideoInput,
     config: &Config,
     schedule: Schedule,
     folder: &OutputFolder,
@@ -54,7 +72,7 @@ pub(super) fn track(
     progress.close();
     let run = run?;
     folder.write_reconstruction(&run.reconstruction)?;
-    let report = RunReport::new(config, &run);
+    let report = RunReport { input: Some(input), ..RunReport::new(config, schedule, &run) };
     folder.write_report(&report)?;
     Ok((run, report))
 }
@@ -85,7 +103,10 @@ pub(super) fn summary(report: &RunReport, folder: &OutputFolder) -> String {
         ("mesh", mesh),
         (
             "results",
-            format!("{} (ob_in_cam/, mesh.obj, mesh.ply, keyframes.json, run.json)", folder.path().display()),
+            format!(
+                "{} (ob_in_cam/, masks/, mesh.obj, mesh.ply, keyframes.json, run.json)",
+                folder.path().display()
+            ),
         ),
     ] {
         text.push_str(&format!("{name:<10} {value}\n"));

@@ -3,6 +3,7 @@
 mod coarse;
 mod correspond;
 mod graph;
+mod memory;
 mod motion;
 mod result;
 mod rounds;
@@ -11,18 +12,15 @@ mod verify;
 use std::{sync::Arc, time::Instant};
 
 use mask_tracker::{Prior, Propagate, Segmentation, SurfacePoint, VideoSegmenter};
-use matcher::klt::KltOptions;
 use nalgebra::{Isometry3, Translation3};
 use neural_field::TrainedField;
-use rayon::prelude::*;
 use rgbd_io::{Image, Mask, RgbdFrame};
 
 use self::{
     coarse::{
-        CoarsePose, Descriptors, Gates, agreement_with_memory, coarse_from_matches, coarse_from_tracks,
-        relocalise, within,
+        CoarsePose, Descriptors, Gates, Search, agreement_with_memory, coarse_from_matches,
+        coarse_from_tracks, relocalise, within,
     },
-    correspond::guided_tracks,
     graph::{GraphProblem, GraphResult},
     motion::Motion,
 };
@@ -31,7 +29,7 @@ pub use self::{
     rounds::{FieldSummary, Reconstruction},
 };
 use crate::{
-    config::{Config, ConfigError, Schedule},
+    config::{Config, ConfigError, Refiner, Schedule},
     field_worker::FieldWorker,
     observation::Observation,
     pool::{Keyframe, MemoryEdge, MemoryPool},
@@ -58,6 +56,8 @@ pub struct Tracker {
     /// The last frame that came with its own mask: where segmentation starts when masks stop coming.
     given: Option<(RgbdFrame, Mask)>,
     surface: Vec<SurfacePoint>,
+    /// The mask that the last frame was tracked with.
+    mask: Option<Mask>,
     reference: Option<Reference>,
     motion: Motion,
     worker: Option<FieldWorker>,
@@ -93,7 +93,7 @@ impl Tracker {
     /// When a value of the config is outside its range.
     pub fn new(config: Config, schedule: Schedule) -> Result<Self, ConfigError> {
         config.validate().map_err(|problem| ConfigError { path: "config".into(), problem })?;
-        let worker = if config.field.enabled { FieldWorker::start() } else { None };
+        let worker = if config.field.refiner == Refiner::None { None } else { FieldWorker::start() };
         Ok(Self {
             config,
             schedule,
@@ -102,6 +102,7 @@ impl Tracker {
             segmenter: Box::new(Propagate::default()),
             given: None,
             surface: Vec::new(),
+            mask: None,
             reference: None,
             motion: Motion::default(),
             worker,
@@ -117,6 +118,11 @@ impl Tracker {
     /// The memory pool.
     pub fn pool(&self) -> &MemoryPool {
         &self.pool
+    }
+
+    /// The mask that the last frame was tracked with, at the frame's size; `None` when the frame could not be read.
+    pub fn mask(&self) -> Option<&Mask> {
+        self.mask.as_ref()
     }
 
     /// What the field has done so far.
@@ -139,6 +145,7 @@ impl Tracker {
         let start = Instant::now();
         let mut times = StageTimes::default();
         let masked = self.segment(frame);
+        self.mask = Some(masked.mask().clone());
         times.segment = start.elapsed();
         let mut result = self.track_masked(index, frame, masked, &mut times);
         times.total = start.elapsed();
@@ -161,6 +168,7 @@ impl Tracker {
     pub fn skip(&mut self, id: &str) -> FrameResult {
         let index = self.next_index;
         self.next_index += 1;
+        self.mask = None;
         self.lost(index, id)
     }
 
@@ -236,7 +244,15 @@ impl Tracker {
             guesses.push(reference.pose);
         }
         let gates = Gates::between(c, gap);
-        let tracked = coarse_from_tracks(near, observation, &guesses, gates, c, seed);
+        let search = Search {
+            config: c,
+            gates,
+            min_inliers: c.min_inliers,
+            focal: observation.intrinsics.fx,
+            swing: Search::ANY_SWING,
+            seed,
+        };
+        let tracked = coarse_from_tracks(near, observation, &guesses, &search);
         let enough = |p: &CoarsePose| p.matches.len() >= 2 * c.min_inliers;
         if self.adrift
             && let Some(found) = relocalise(&self.pool, observation, &self.descriptors, &self.config)
@@ -247,8 +263,7 @@ impl Tracker {
             return tracked.map(|p| (p, false));
         }
         let matches = self.descriptors.with_reference(near, observation, &guesses[0]);
-        let matched =
-            coarse_from_matches(matches, &reference.pose, &reference.pose, gates, c.min_inliers, c, seed);
+        let matched = coarse_from_matches(matches, &reference.pose, &reference.pose, &search);
         let best = [tracked, matched].into_iter().flatten().max_by_key(|p| p.matches.len());
         if gap <= 1 && best.is_some() {
             return best.map(|p| (p, false));
@@ -265,8 +280,19 @@ impl Tracker {
     fn optimise(&self, observation: &Observation, coarse: Option<CoarsePose>, relocalised: bool) -> Estimate {
         let fallback = self.reference.as_ref().map_or_else(Isometry3::identity, |r| r.pose);
         let guess = coarse.as_ref().map_or(fallback, |c| c.pose);
+        if !self.config.memory.enabled {
+            let inliers = coarse.map_or(0, |c| c.matches.len());
+            return Estimate {
+                pose: guess,
+                inliers,
+                memory_matches: inliers,
+                relocalised,
+                edges: Vec::new(),
+                moved: Vec::new(),
+            };
+        }
         let selected = self.pool.select(&guess, &self.config.memory);
-        let edges = self.memory_edges(observation, &guess, &selected);
+        let (guess, edges) = self.memory_edges(observation, guess, coarse.as_ref(), &selected);
         let matched: usize = edges.iter().map(|(_, e)| e.older.len()).sum();
         let coarse_edge = coarse.as_ref().map(|c| MemoryEdge::from_matches(&c.matches));
         // Memory alone holds the pose when it can; the previous frame would only add its own drift.
@@ -301,30 +327,6 @@ impl Tracker {
                 moved: Vec::new(),
             },
         }
-    }
-
-    /// Verified matches of the new frame with each selected keyframe.
-    fn memory_edges(
-        &self,
-        observation: &Observation,
-        guess: &Isometry3<f64>,
-        selected: &[usize],
-    ) -> Vec<(usize, MemoryEdge)> {
-        let (pool, config) = (&self.pool, &self.config);
-        let c = &config.coarse;
-        let edge = |position: &usize| {
-            let keyframe = pool.keyframes().get(*position)?;
-            let to_from = guess.inv_mul(&keyframe.obj_from_cam);
-            let options = KltOptions::default();
-            let tracks =
-                guided_tracks(&keyframe.observation, observation, &to_from, c.max_corners_memory, &options);
-            let seed = config.seed ^ ((observation.index as u64) << 20) ^ keyframe.index as u64;
-            let gates = Gates::CORRECTION;
-            let verified =
-                coarse_from_matches(tracks, &keyframe.obj_from_cam, guess, gates, c.min_inliers, c, seed)?;
-            Some((*position, MemoryEdge::from_matches(&verified.matches)))
-        };
-        selected.par_iter().filter_map(edge).collect()
     }
 
     /// Decides the frame's status and, with it, what is kept of the frame.
@@ -362,14 +364,12 @@ impl Tracker {
         let pose = estimate.pose;
         self.reference = Some(Reference { index, observation: observation.clone(), pose });
         self.motion.observe(index, &pose);
-        let keyframe = status == Status::Tracked
+        let keyframe = self.config.memory.enabled
+            && status == Status::Tracked
             && !self.adrift
             && observation.valid as f64 >= self.config.memory.min_valid_share * self.first_valid as f64
             && self.pool.is_new_view(&pose, &self.config.memory);
-        if keyframe {
-            self.remember(frame, index, pose, observation, estimate.edges);
-        }
-        FrameResult {
+        let result = FrameResult {
             index,
             id: frame.id.clone(),
             cam_from_obj: pose.inverse(),
@@ -378,7 +378,15 @@ impl Tracker {
             depth_agreement: share,
             keyframe,
             times: StageTimes::default(),
+        };
+        if keyframe {
+            self.remember(frame, index, pose, observation, estimate.edges);
+        } else if !self.config.memory.enabled {
+            let (id, refined_by_field) = (frame.id.clone(), false);
+            self.pool.replace_all(Keyframe { index, id, obj_from_cam: pose, refined_by_field, observation });
+            self.surface = fused_surface(&self.pool);
         }
+        result
     }
 
     fn remember(
@@ -464,7 +472,9 @@ impl Tracker {
             confidence: if coarse.is_some() { Self::ESTIMATED_POSE } else { Self::STALE_POSE },
         };
         let refined = self.segmenter.refine(frame, segmentation, &prior);
-        Observation::new(observation.index, frame, &refined.mask, &self.config).unwrap_or(observation)
+        let cleaned = Observation::new(observation.index, frame, &refined.mask, &self.config);
+        self.mask = Some(refined.mask);
+        cleaned.unwrap_or(observation)
     }
 }
 

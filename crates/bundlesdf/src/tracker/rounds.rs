@@ -4,17 +4,18 @@ use std::sync::Arc;
 
 use marching_cubes::TriMesh;
 use neural_field::{FieldConfig, TrainedField};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use super::Tracker;
 use crate::{
-    field_worker::{FieldReply, FieldRequest},
+    config::{Config, Refiner},
+    field_worker::{FieldReply, FieldRequest, Round},
     pool::{Keyframe, carry},
     surface::fused_surface,
 };
 
 /// What the field has done.
-#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct FieldSummary {
     /// Rounds finished.
     pub rounds: usize,
@@ -23,7 +24,7 @@ pub struct FieldSummary {
     /// Training steps of these rounds.
     pub steps: usize,
     /// Why rounds failed, if any did.
-    #[serde(skip_serializing_if = "Vec::is_empty")]
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub failures: Vec<String>,
     /// Time of each finished online round (milliseconds).
     #[serde(skip)]
@@ -45,13 +46,13 @@ impl Tracker {
     pub(super) fn round_is_due(&self) -> bool {
         let settings = &self.config.field;
         let idle = self.worker.as_ref().is_some_and(|w| !w.is_busy());
-        let first = self.field.is_none() && self.pool.keyframes().len() >= settings.first_round_keyframes;
+        let first = self.summary.rounds == 0 && self.pool.keyframes().len() >= settings.first_round_keyframes;
         // Beside a running tracker every new keyframe is worth a round; in lockstep a round waits for a batch.
         let batch = match self.schedule {
             crate::Schedule::Lockstep => settings.keyframes_per_round,
             crate::Schedule::Realtime => 1,
         };
-        let more = self.field.is_some() && self.new_keyframes >= batch;
+        let more = self.summary.rounds > 0 && self.new_keyframes >= batch;
         idle && self.new_keyframes > 0 && (first || more)
     }
 
@@ -61,22 +62,16 @@ impl Tracker {
 
     fn submit(&mut self, steps: usize) {
         let settings = &self.config.field;
-        let config = FieldConfig {
-            steps,
-            seed: self.config.seed,
-            max_translation: settings.max_translation,
-            max_rotation_deg: settings.max_rotation_deg,
-            ..FieldConfig::realtime()
+        let round = match settings.refiner {
+            Refiner::PoseGraph => Round::PoseGraph,
+            Refiner::Field | Refiner::None => Round::Field(field_config(&self.config, steps)),
         };
-        let frames = self
-            .pool
-            .keyframes()
-            .iter()
-            .map(|k| (k.index, k.observation.images.clone(), k.obj_from_cam))
-            .collect();
+        let frames =
+            self.pool.keyframes().iter().map(|k| (k.index, k.observation.clone(), k.obj_from_cam)).collect();
         self.new_keyframes = 0;
         if let Some(worker) = &mut self.worker {
-            worker.submit(FieldRequest { config, frames });
+            let (graph, edges) = (self.config.graph.clone(), self.pool.all_edges());
+            worker.submit(FieldRequest { round, graph, edges, frames });
         }
     }
 
@@ -104,7 +99,7 @@ impl Tracker {
             }
             self.motion.carry(|pose| carry(&old, &new, pose));
         }
-        self.field = Some(update.field);
+        self.field = update.field.or(self.field.take());
         self.surface = fused_surface(&self.pool);
         self.summary.rounds += 1;
         self.summary.steps = update.steps;
@@ -115,7 +110,7 @@ impl Tracker {
     /// Ends the tracking: a last round over all keyframes and the mesh of its field.
     pub fn finish(mut self) -> Reconstruction {
         self.take_field_reply(true);
-        if self.worker.is_some() && !self.pool.keyframes().is_empty() {
+        if self.config.field.refiner == Refiner::Field && !self.pool.keyframes().is_empty() {
             let online = self.summary.clone();
             self.submit(self.config.field.final_steps);
             self.take_field_reply(true);
@@ -134,6 +129,20 @@ impl Tracker {
         let mesh = self.field.as_ref().map(|field| final_mesh(field, spacing));
         let keyframes = self.pool.keyframes().to_vec();
         Reconstruction { mesh, keyframes, field: self.summary }
+    }
+}
+
+/// The settings of a training round of `steps`.
+fn field_config(config: &Config, steps: usize) -> FieldConfig {
+    let settings = &config.field;
+    let base = FieldConfig::realtime();
+    FieldConfig {
+        steps,
+        seed: config.seed,
+        max_translation: settings.max_translation,
+        max_rotation_deg: settings.max_rotation_deg,
+        ring_rays: if settings.hybrid { base.ring_rays } else { 0 },
+        ..base
     }
 }
 
