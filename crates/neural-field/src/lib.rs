@@ -3,6 +3,7 @@
 //! A tracker's poses drift, and every depth image is noisy and partial. Fitting one surface to all frames at once,
 //! while the frames' poses may move, gives both: a shape and poses that agree with it. This is the Neural Object
 //! Field of BundleSDF (Wen et al., CVPR 2023, section 3.4) for the CPU: no GPU, no framework, a few seconds a round.
+//! With the feature `gpu` the same step also runs on any GPU that wgpu knows; see [`Device`].
 //!
 //! ```
 //! use nalgebra::Isometry3;
@@ -49,6 +50,7 @@ mod adam;
 mod color;
 mod config;
 mod cpu;
+mod device;
 mod draws;
 mod eikonal;
 mod engine;
@@ -78,6 +80,7 @@ mod volume;
 
 pub use config::{FieldConfig, LossWeights};
 pub use cpu::CpuRound;
+pub use device::{Device, Trained};
 pub use error::FieldError;
 pub use field::TrainedField;
 pub use frame::FieldImages;

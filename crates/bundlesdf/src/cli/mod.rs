@@ -15,6 +15,7 @@ use std::{
     },
 };
 
+use bundlesdf::FieldDevice;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 
 /// Something in the input, the config or the output folder is wrong; the message says what.
@@ -138,10 +139,11 @@ struct HowArgs {
     /// lockstep: the tracker waits for the field (reproducible). realtime: it never waits.
     #[arg(long, value_enum, default_value_t = ScheduleArg::Lockstep)]
     schedule: ScheduleArg,
-    /// Where the field is trained.
-    #[arg(long, value_enum, default_value_t = Device::Auto)]
-    device: Device,
-    /// Bit-identical results in every run on one machine (implies lockstep).
+    /// Where the field is trained, instead of what the config says; auto is a GPU if this build can use one and there
+    /// is one, else the CPU.
+    #[arg(long, value_enum)]
+    device: Option<Device>,
+    /// Bit-identical results in every run on one machine (implies lockstep and the CPU).
     #[arg(long)]
     deterministic: bool,
 }
@@ -170,10 +172,6 @@ impl HowArgs {
     /// The config and schedule that these arguments ask for.
     fn resolve(&self) -> anyhow::Result<(bundlesdf::Config, bundlesdf::Schedule)> {
         anyhow::ensure!(
-            self.device != Device::Gpu,
-            "--device gpu: this version trains the field on the CPU only; use --device auto or cpu"
-        );
-        anyhow::ensure!(
             !(self.deterministic && self.schedule == ScheduleArg::Realtime),
             "--deterministic needs the lockstep schedule; leave out --schedule realtime"
         );
@@ -192,6 +190,21 @@ impl HowArgs {
         if let Some(ablation) = self.ablate {
             ablation.apply(&mut config);
         }
+        if let Some(device) = self.device {
+            config.field.device = match device {
+                Device::Auto => FieldDevice::Auto,
+                Device::Cpu => FieldDevice::Cpu,
+                Device::Gpu => FieldDevice::Gpu,
+            };
+        }
+        if self.deterministic {
+            anyhow::ensure!(
+                config.field.device != FieldDevice::Gpu,
+                "--deterministic needs the CPU: a GPU adds in no fixed order; leave out --device gpu"
+            );
+            config.field.device = FieldDevice::Cpu;
+        }
+        config.validate().map_err(|problem| anyhow::anyhow!("config: {problem}"))?;
         let schedule = match self.schedule {
             ScheduleArg::Lockstep => bundlesdf::Schedule::Lockstep,
             ScheduleArg::Realtime => bundlesdf::Schedule::Realtime,

@@ -112,6 +112,12 @@ impl Gpu {
         self.inner.software
     }
 
+    /// Whether the device has failed: every later round on it would fail, too.
+    #[must_use]
+    pub fn is_lost(&self) -> bool {
+        self.check().is_err()
+    }
+
     pub(crate) fn limits(&self) -> wgpu::Limits {
         self.inner.device.limits()
     }
@@ -193,8 +199,10 @@ impl Gpu {
     pub(crate) fn wait(&self, submission: Option<wgpu::SubmissionIndex>) -> Result<(), FieldError> {
         let outcome =
             self.inner.device.poll(wgpu::PollType::Wait { submission_index: submission, timeout: None });
-        self.check()?;
-        outcome.map(|_| ()).map_err(|e| fail(&format!("{}: {e}", self.inner.name)))
+        if let Err(e) = outcome {
+            note(&self.inner.failure, format!("the device does not answer ({e})"));
+        }
+        self.check()
     }
 
     /// The first `numbers` numbers of a buffer, after all that was submitted.

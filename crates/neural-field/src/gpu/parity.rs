@@ -14,9 +14,10 @@ use crate::round::Engine;
 use crate::sampler::Buffers;
 use crate::tile::{Model, RAYS, Scratch, Tile, TileGradient};
 use crate::train::{Control, StepLosses};
-use crate::{FieldConfig, FieldImages, simd};
+use crate::{Device, FieldConfig, FieldImages, simd};
 use nalgebra::{Isometry3, Vector6};
 use scene::{Shape, perturb, views};
+use std::io::Write;
 use std::sync::{Arc, OnceLock};
 
 const BOX: Shape = Shape::Box { half: [0.1, 0.06, 0.04] };
@@ -31,7 +32,8 @@ fn adapter(float_atomics: bool) -> Option<Gpu> {
         }
         Err(e) if std::env::var_os("BUNDLESDF_REQUIRE_GPU").is_some_and(|v| v == "1") => panic!("{e}"),
         Err(e) => {
-            println!("skipped: {e}");
+            // Past the test runner, which keeps what a passing test prints.
+            let _ = writeln!(std::io::stderr(), "skipped, no GPU: {e}");
             None
         }
     }
@@ -234,31 +236,45 @@ fn gradients_of_every_group_agree() {
     }
 }
 
-#[test]
-fn twenty_steps_and_queries_agree() {
-    let Some(gpu) = adapter(false) else { return };
-    let (mut cpu, mut gpu) = rounds(&gpu, &config());
+/// Twenty steps on both engines; `grid` is the largest difference of the lattices allowed.
+fn twenty_steps(config: &FieldConfig, grid: f64) -> Option<(CpuRound, GpuRound)> {
+    let (mut cpu, mut gpu) = rounds(&adapter(false)?, config);
     cpu.train(20, &Control::default()).unwrap();
     gpu.train(20, &Control::default()).unwrap();
-    let worst = losses(gpu.losses())
+    gpu.download().unwrap();
+    let check = |name: &str, d: f64, most: f64| {
+        println!("{name}: {d:.1e}");
+        assert!(d < most, "{name}: {d:.1e}");
+    };
+    let off = losses(gpu.losses())
         .iter()
         .zip(losses(cpu.losses()))
         .flat_map(|(a, b)| (0..5).map(move |l| (a[l] - b[l]).abs() / b.iter().sum::<f64>()))
         .fold(0.0, f64::max);
-    println!("losses: {worst:.1e} of the total");
-    assert!(worst < 1e-3);
-
-    gpu.download().unwrap();
+    check("losses", off, 1e-3);
     let expect = cpu.engine.parameters();
-    let check = |name: &str, d: f64| {
-        println!("{name}: {d:.1e}");
-        assert!(d < 1e-3, "{name}: {d:.1e}");
-    };
     let flat = |tables: &[Vec<f32>]| tables.iter().flatten().copied().collect::<Vec<f32>>();
-    check("grid", distance(flat(&gpu.parameters.grid.tables), flat(&expect.grid.tables)));
-    check("networks", distance(gpu.parameters.weights.clone(), expect.weights));
-    let theta = |t: &[Vector6<f64>]| t.iter().flat_map(|v| v.iter().map(|x| *x as f32)).collect::<Vec<f32>>();
-    check("poses", distance(theta(&gpu.round.corrections.theta), theta(&cpu.round.corrections.theta)));
+    check("grid", distance(flat(&gpu.parameters.grid.tables), flat(&expect.grid.tables)), grid);
+    check("networks", distance(gpu.parameters.weights.clone(), expect.weights), 1e-3);
+    let matrices = |round: &crate::round::Round| {
+        let poses = round.corrections.ray_poses::<f32>();
+        poses.iter().flat_map(|p| p.rotation.into_iter().flatten().chain(p.translation)).collect::<Vec<f32>>()
+    };
+    check("poses", distance(matrices(&gpu.round), matrices(&cpu.round)), 1e-3);
+    Some((cpu, gpu))
+}
+
+#[test]
+fn twenty_steps_agree() {
+    twenty_steps(&FieldConfig { pose_learning_rate: 0.0, ..config() }, 1e-3);
+}
+
+#[test]
+fn twenty_steps_with_moving_poses_and_queries_agree() {
+    // Adam's first steps have the sign of the gradient and the full length: where rounding turns a sign, a feature
+    // ends far from its twin. Free poses spread that: the same CPU round with cameras moved by half a micrometre is
+    // 2e-2 off in its features.
+    let Some((_, mut gpu)) = twenty_steps(&config(), 1e-2) else { return };
 
     // The device's own evaluation against the CPU's of the same parameters.
     let field = gpu.field().unwrap();
@@ -303,45 +319,13 @@ fn a_lost_device_is_an_error() {
     let (_, mut round) = rounds(&gpu, &config());
     gpu.lose();
     let outcome = round.train(20, &Control::default());
-    println!("{outcome:?}");
-    assert!(matches!(outcome, Err(FieldError::Gpu(_))));
-}
+    assert!(matches!(outcome, Err(FieldError::Gpu(_))), "{outcome:?}");
 
-#[test]
-fn zz_diagnose() {
-    let Some(gpu) = adapter(false) else { return };
-    for (name, config) in [
-        ("pose_start 0", config()),
-        ("default pose start", FieldConfig { pose_start: 0.05, ..config() }),
-        ("poses fixed", FieldConfig { pose_learning_rate: 0.0, ..config() }),
-        ("more rays", FieldConfig { surface_rays: 192, ring_rays: 64, pose_start: 0.05, ..config() }),
-    ] {
-        let (mut cpu, mut gpu) = rounds(&gpu, &config);
-        let (frames, mut poses) = frames();
-        for p in &mut poses {
-            p.translation.vector *= 1.0 + 1e-6;
-        }
-        let mut nudged = CpuRound::new(&config, &frames, &poses).unwrap();
-        println!("== {name}");
-        for step in 0..20 {
-            cpu.train(1, &Control::default()).unwrap();
-            gpu.train(1, &Control::default()).unwrap();
-            nudged.train(1, &Control::default()).unwrap();
-            gpu.download().unwrap();
-            let flat = |tables: &[Vec<f32>]| tables.iter().flatten().copied().collect::<Vec<f32>>();
-            let far = |g: &crate::field::Parameters, t: &[Vector6<f64>], l: &[StepLosses]| {
-                let e = cpu.engine.parameters();
-                let theta = |t: &[Vector6<f64>]| t.iter().flat_map(|v| v.iter().map(|x| *x as f32 + 1e-30)).collect::<Vec<f32>>();
-                let loss = losses(&l[step..]).iter().zip(losses(&cpu.losses()[step..])).map(|(a, b)| (0..5).map(|l| (a[l] - b[l]).abs() / b.iter().sum::<f64>()).fold(0.0, f64::max)).fold(0.0, f64::max);
-                format!("loss {loss:.1e} grid {:.1e} net {:.1e} theta {:.1e}",
-                    distance(flat(&g.grid.tables), flat(&e.grid.tables)),
-                    distance(g.weights.clone(), e.weights),
-                    distance(theta(t), theta(&cpu.round.corrections.theta)))
-            };
-            if [0, 1, 2, 4, 9, 14, 19].contains(&step) {
-                println!("{step}: gpu {} | nudged {}", far(&gpu.parameters, &gpu.round.corrections.theta, gpu.losses()),
-                    far(&nudged.engine.parameters(), &nudged.round.corrections.theta, nudged.losses()));
-            }
-        }
-    }
+    // The round after that is trained all the same.
+    let (frames, poses) = frames();
+    let mut device = Device::Gpu(gpu);
+    let trained = device.train(&config(), &frames, &poses, &Control::default()).unwrap();
+    println!("{:?}", trained.warning);
+    assert!(trained.warning.is_some() && trained.device == "cpu" && matches!(device, Device::Cpu));
+    assert_eq!(trained.field.losses().len(), 20);
 }
