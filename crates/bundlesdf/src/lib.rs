@@ -25,9 +25,11 @@
 //! waits for each round and a run is reproducible, with [`Schedule::Realtime`] it never waits.
 
 mod ablation;
+pub mod canonical;
 pub mod config;
 mod depth;
 pub mod evaluate;
+pub mod export;
 mod field_model;
 mod field_worker;
 mod global_graph;
@@ -38,8 +40,10 @@ mod pool;
 pub mod report;
 mod rigid;
 mod surface;
+pub mod texture;
 mod tracker;
 mod video;
+mod zoom;
 
 pub use ablation::Ablation;
 pub use config::{Config, ConfigError, FieldDevice, Schedule};
