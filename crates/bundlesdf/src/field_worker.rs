@@ -12,9 +12,14 @@ use std::{
 
 use crossbeam_channel::{Receiver, Sender, bounded};
 use nalgebra::Isometry3;
-use neural_field::{Control, FieldConfig, TrainedField};
+use neural_field::{Control, Device, FieldConfig, TrainedField};
 
-use crate::{config::GraphConfig, global_graph, observation::Observation, pool::MemoryEdge};
+use crate::{
+    config::{FieldDevice, GraphConfig},
+    global_graph,
+    observation::Observation,
+    pool::MemoryEdge,
+};
 
 /// What a round does.
 pub(crate) enum Round {
@@ -43,6 +48,10 @@ pub(crate) struct FieldUpdate {
     pub(crate) poses: Vec<(usize, Isometry3<f64>)>,
     /// The trained field, if that was the task.
     pub(crate) field: Option<Arc<TrainedField>>,
+    /// The device that trained it; empty without a field.
+    pub(crate) device: String,
+    /// Why it was not the device asked for.
+    pub(crate) warning: Option<String>,
     /// Training steps of the round, or iterations of the pose graph.
     pub(crate) steps: usize,
     /// Time of the round.
@@ -63,14 +72,15 @@ pub(crate) struct FieldWorker {
 
 impl FieldWorker {
     /// Starts the thread; `None` when the system gives no thread.
-    pub(crate) fn start() -> Option<Self> {
+    pub(crate) fn start(device: FieldDevice) -> Option<Self> {
         let (requests, inbox) = bounded::<FieldRequest>(1);
         let (outbox, replies) = bounded::<FieldReply>(1);
         let stop = Arc::new(AtomicBool::new(false));
         let stopped = stop.clone();
         let body = move || {
+            let mut place = Place { wanted: device, opened: None, warning: None };
             for request in inbox {
-                if outbox.send(round(&request, &stopped)).is_err() {
+                if outbox.send(round(&mut place, &request, &stopped)).is_err() {
                     break;
                 }
             }
@@ -125,33 +135,84 @@ impl Drop for FieldWorker {
     }
 }
 
+/// Where fields are trained, opened by the first round that needs it.
+struct Place {
+    wanted: FieldDevice,
+    opened: Option<Device>,
+    /// Not yet reported.
+    warning: Option<String>,
+}
+
+impl Place {
+    /// The device that was asked for, or the CPU with a warning.
+    fn device(&mut self) -> &mut Device {
+        let wanted = self.wanted;
+        let warning = &mut self.warning;
+        self.opened.get_or_insert_with(|| {
+            let opened = catch_unwind(|| match wanted {
+                FieldDevice::Auto => Ok(Device::best()),
+                FieldDevice::Cpu => Ok(Device::Cpu),
+                FieldDevice::Gpu => Device::gpu(),
+            });
+            match opened {
+                Ok(Ok(device)) => return device,
+                Ok(Err(e)) => *warning = Some(format!("{e}; the field is trained on the CPU")),
+                Err(_) => *warning = Some("the GPU's driver failed; the field is trained on the CPU".into()),
+            }
+            Device::Cpu
+        })
+    }
+}
+
 /// Runs one round; a panic inside becomes an error, so that tracking goes on.
-fn round(request: &FieldRequest, stop: &AtomicBool) -> FieldReply {
+fn round(place: &mut Place, request: &FieldRequest, stop: &AtomicBool) -> FieldReply {
     let _span = tracing::info_span!("field_round", keyframes = request.frames.len()).entered();
     let start = Instant::now();
     let outcome = catch_unwind(AssertUnwindSafe(|| match &request.round {
-        Round::Field(config) => train(config, request, stop),
+        Round::Field(config) => train(place, config, request, stop),
         Round::PoseGraph => {
             let poses: Vec<_> = request.frames.iter().map(|(_, _, pose)| *pose).collect();
             let poses = global_graph::optimise(request, &poses, None)
                 .ok_or("the global pose graph could not be solved")?;
-            Ok((poses, None, request.graph.iterations))
+            Ok(Outcome {
+                poses,
+                field: None,
+                steps: request.graph.iterations,
+                device: String::new(),
+                warning: None,
+            })
         }
     }));
-    let (poses, field, steps) =
-        outcome.map_err(|_| "the round failed unexpectedly (a panic inside)".to_owned())??;
+    let Outcome { poses, field, steps, device, warning } = outcome.map_err(|_| {
+        // A driver that fails once fails again: from now on the CPU.
+        place.opened = Some(Device::Cpu);
+        "the round failed unexpectedly (a panic inside)".to_owned()
+    })??;
     let poses = request.frames.iter().map(|(index, _, _)| *index).zip(poses).collect();
-    Ok(FieldUpdate { poses, field, steps, elapsed: start.elapsed() })
+    Ok(FieldUpdate { poses, field, device, warning, steps, elapsed: start.elapsed() })
 }
 
-type Outcome = (Vec<Isometry3<f64>>, Option<Arc<TrainedField>>, usize);
+struct Outcome {
+    poses: Vec<Isometry3<f64>>,
+    field: Option<Arc<TrainedField>>,
+    steps: usize,
+    device: String,
+    warning: Option<String>,
+}
 
-fn train(config: &FieldConfig, request: &FieldRequest, stop: &AtomicBool) -> Result<Outcome, String> {
+fn train(
+    place: &mut Place,
+    config: &FieldConfig,
+    request: &FieldRequest,
+    stop: &AtomicBool,
+) -> Result<Outcome, String> {
     let images: Vec<_> = request.frames.iter().map(|(_, seen, _)| seen.images.clone()).collect();
     let poses: Vec<_> = request.frames.iter().map(|(_, _, pose)| *pose).collect();
     let control = Control { stop: Some(stop), progress: None };
-    let trained = neural_field::train(config, &images, &poses, &control).map_err(|e| e.to_string())?;
-    let joint = global_graph::optimise(request, trained.poses(), Some(&trained));
-    let poses = joint.unwrap_or_else(|| trained.poses().to_vec());
-    Ok((poses, Some(Arc::new(trained)), config.steps))
+    let trained = place.device().train(config, &images, &poses, &control).map_err(|e| e.to_string())?;
+    let field = trained.field;
+    let joint = global_graph::optimise(request, field.poses(), Some(&field));
+    let poses = joint.unwrap_or_else(|| field.poses().to_vec());
+    let warning = place.warning.take().or(trained.warning);
+    Ok(Outcome { poses, field: Some(field), steps: config.steps, device: trained.device, warning })
 }

@@ -49,7 +49,7 @@ mod video;
 mod zoom;
 
 pub use ablation::Ablation;
-pub use config::{Config, ConfigError, Schedule};
+pub use config::{Config, ConfigError, FieldDevice, Schedule};
 pub use depth::depth_sigma;
 pub use input::VideoInput;
 pub use observation::{Observation, Unusable};

@@ -94,7 +94,11 @@ impl Tracker {
     /// When a value of the config is outside its range.
     pub fn new(config: Config, schedule: Schedule) -> Result<Self, ConfigError> {
         config.validate().map_err(|problem| ConfigError { path: "config".into(), problem })?;
-        let worker = if config.field.refiner == Refiner::None { None } else { FieldWorker::start() };
+        let worker = if config.field.refiner == Refiner::None {
+            None
+        } else {
+            FieldWorker::start(config.field.device)
+        };
         Ok(Self {
             config,
             schedule,
