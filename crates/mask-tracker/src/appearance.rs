@@ -1,5 +1,7 @@
 //! Colour models of object and background.
 
+use serde::{Deserialize, Serialize};
+
 use crate::grid::Color;
 
 const LUMA: usize = 16;
@@ -9,7 +11,7 @@ const BINS: usize = LUMA * CHROMA * CHROMA;
 const FLOOR: f32 = 2e-4;
 
 /// A smoothed histogram over opponent colour.
-#[derive(Clone)]
+#[derive(Clone, Serialize, Deserialize)]
 pub(crate) struct Histogram {
     density: Vec<f32>,
     filled: bool,
@@ -83,6 +85,7 @@ fn smooth(density: &mut [f32]) {
 }
 
 /// Object against background. Half of the object's model is the first frame's and is never forgotten.
+#[derive(Clone, Serialize, Deserialize)]
 pub(crate) struct Appearance {
     anchor: Histogram,
     object: Histogram,
@@ -103,6 +106,11 @@ impl Appearance {
 
     pub(crate) fn start(object: Histogram, background: Histogram) -> Self {
         Self { anchor: object.clone(), object, background, accuracy: 0.5 }
+    }
+
+    /// Whether all histograms have their bins: false for a damaged copy.
+    pub(crate) fn is_whole(&self) -> bool {
+        [&self.anchor, &self.object, &self.background].iter().all(|h| h.density.len() == BINS)
     }
 
     pub(crate) fn learn(&mut self, object: &Histogram, background: &Histogram, rate: f32) {

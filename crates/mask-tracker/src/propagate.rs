@@ -53,22 +53,22 @@ impl Default for Options {
 ///
 /// Deterministic; one thread; a few milliseconds per frame at 640x480.
 pub struct Propagate {
-    options: Options,
-    appearance: Appearance,
-    memory: Option<Memory>,
+    pub(crate) options: Options,
+    pub(crate) appearance: Appearance,
+    pub(crate) memory: Option<Memory>,
     work: Option<Work>,
 }
 
 /// The object as last seen.
-struct Memory {
-    samples: Vec<Sample>,
-    cam_from_obj: Option<Isometry3<f64>>,
+pub(crate) struct Memory {
+    pub(crate) samples: Vec<Sample>,
+    pub(crate) cam_from_obj: Option<Isometry3<f64>>,
     /// Camera-frame translation of the last step, metres.
-    velocity: Vector3<f32>,
+    pub(crate) velocity: Vector3<f32>,
     /// Frames since the object was last seen.
-    missing: u32,
+    pub(crate) missing: u32,
     /// No frame has followed the first one yet.
-    fresh: bool,
+    pub(crate) fresh: bool,
 }
 
 /// The current frame between `next` and `refine`.
@@ -224,7 +224,7 @@ impl Propagate {
     }
 
     /// Remembers the frame: its cells become the samples of the next, colour models learn if it is trusted.
-    fn commit(&mut self, cam_from_obj: Option<Isometry3<f64>>) {
+    pub(crate) fn commit(&mut self, cam_from_obj: Option<Isometry3<f64>>) {
         let Some(work) = self.work.take() else { return };
         let Some(memory) = &mut self.memory else { return };
         let old_center = center(&memory.samples);
@@ -369,6 +369,14 @@ impl VideoSegmenter for Propagate {
         self.work = Some(work);
         self.commit(prior.cam_from_obj);
         Segmentation::new(mask, confidence)
+    }
+
+    fn save(&mut self) -> Option<Vec<u8>> {
+        self.saved()
+    }
+
+    fn restore(&mut self, saved: &[u8]) -> bool {
+        self.go_on_from(saved)
     }
 }
 
