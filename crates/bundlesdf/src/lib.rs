@@ -25,31 +25,37 @@
 //! waits for each round and a run is reproducible, with [`Schedule::Realtime`] it never waits.
 
 mod ablation;
+pub mod checkpoint;
 pub mod config;
 mod depth;
+pub mod diagnostics;
 pub mod evaluate;
 mod field_worker;
 mod global_graph;
 pub mod input;
+mod link;
 pub mod observation;
 pub mod output;
 mod pool;
 pub mod report;
 mod rigid;
 mod surface;
+mod sync;
 mod tracker;
 mod video;
 
 pub use ablation::Ablation;
+pub use checkpoint::{CheckpointError, Manifest, StateFolder};
 pub use config::{Config, ConfigError, Schedule};
 pub use depth::depth_sigma;
+pub use diagnostics::{Warning, WarningKind};
 pub use input::VideoInput;
 pub use observation::{Observation, Unusable};
 pub use output::OutputFolder;
 pub use pool::{Keyframe, MemoryPool};
 pub use report::{KeyframeReport, RunReport};
 pub use tracker::{FieldSummary, FrameResult, Reconstruction, StageTimes, Status, Tracker};
-pub use video::{Observer, RunError, VideoRun, run_video};
+pub use video::{Observer, RunError, RunSoFar, VideoRun, continue_video, run_video};
 
 #[cfg(doctest)]
 #[doc = include_str!("../README.md")]

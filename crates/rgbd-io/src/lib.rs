@@ -39,6 +39,7 @@ mod intrinsics;
 mod listing;
 pub mod poses;
 mod read_ahead;
+mod registration;
 
 #[cfg(feature = "codecs")]
 mod codec;
@@ -61,6 +62,7 @@ pub use frame::{FrameSource, RgbdFrame};
 pub use image::{Image, Mask};
 pub use intrinsics::Intrinsics;
 pub use read_ahead::ReadAhead;
+pub use registration::{Registration, Shift};
 
 #[cfg(feature = "codecs")]
 pub use codec::{

@@ -28,6 +28,7 @@ Examples:
   bundlesdf check VIDEO                   see what is in a folder and what is wrong with it
   bundlesdf run VIDEO --out OUT           track VIDEO from the mask of its first frame
   bundlesdf run VIDEO --out OUT --masks all --schedule realtime
+  bundlesdf run --resume OUT              go on with a run that was stopped
 
 VIDEO is a folder with rgb/*.png|jpg, depth/*.png (16 bit, millimetres, registered to colour), masks/*.png (at least
 the first frame's; white = object) and cam_K.txt (3x3 intrinsics of the colour camera, pixels).
@@ -81,7 +82,8 @@ enum DemoMasks {
 #[derive(Args, Debug)]
 struct RunArgs {
     /// Folder of the video; with --dataset the folder of the dataset.
-    input: PathBuf,
+    #[arg(required_unless_present = "resume")]
+    input: Option<PathBuf>,
     /// The input is a published dataset: ho3d, ycbineoat, behave, bop, tum or custom.
     #[arg(long, value_name = "NAME")]
     dataset: Option<String>,
@@ -89,8 +91,15 @@ struct RunArgs {
     #[arg(long, value_name = "NAME", requires = "dataset")]
     video: Option<String>,
     /// Folder for the results: ob_in_cam/, masks/, mesh.obj, mesh.ply, keyframes.json, run.json.
-    #[arg(long)]
-    out: PathBuf,
+    #[arg(long, required_unless_present = "resume")]
+    out: Option<PathBuf>,
+    /// Go on with the run in this output folder that was stopped: by Ctrl-C, a kill, a full disk. Video and settings
+    /// are those it began with, and so is the result.
+    #[arg(long, value_name = "OUT", conflicts_with_all = [
+        "input", "out", "force", "dataset", "video", "masks", "first_mask", "stride", "depth_scale", "config",
+        "ablate", "schedule", "device", "deterministic",
+    ])]
+    resume: Option<PathBuf>,
     /// Replace the results of an earlier run in the folder.
     #[arg(long)]
     force: bool,
