@@ -6,12 +6,11 @@
 mod camera;
 mod depth;
 mod observability;
-mod rate;
 mod view;
 
 use std::{collections::BTreeMap, fmt};
 
-use rgbd_io::{Registration, RgbdFrame};
+use rgbd_io::{Cadence, Registration, RgbdFrame};
 use serde::{Deserialize, Serialize};
 
 use crate::tracker::{FrameResult, Tracker};
@@ -80,7 +79,7 @@ struct Notice {
 pub struct Diagnostics {
     frames: usize,
     noticed: BTreeMap<WarningKind, Noticed>,
-    rate: rate::Rate,
+    cadence: Cadence,
     view: view::View,
     observability: observability::Observability,
     /// Gathered over the first frames only, and of no use half done.
@@ -113,7 +112,7 @@ impl Diagnostics {
             notices.extend(depth::check(frame, mask, &config.preprocess));
             notices.extend(self.view.check(frame, mask, result));
         }
-        notices.extend(self.rate.check(&frame.id));
+        notices.extend(self.cadence.missing_before(&frame.id).map(dropped));
         notices.extend(self.observability.check(result, tracker));
         notices.extend(self.registration(frame));
         self.frames += 1;
@@ -165,5 +164,14 @@ impl Diagnostics {
             message,
             remedy,
         })
+    }
+}
+
+fn dropped(frames: usize) -> Notice {
+    Notice {
+        kind: WarningKind::FrameDrops,
+        patience: 1,
+        message: format!("about {frames} frames are missing before it"),
+        remedy: "record with fewer pixels, to a faster disk or without other programs; slow motion tolerates drops",
     }
 }

@@ -1,7 +1,7 @@
 //! Does a frame show the object well, and much of what the frame before showed?
 
 use nalgebra::Isometry3;
-use rgbd_io::{Mask, RgbdFrame};
+use rgbd_io::{BLURRED, Mask, RgbdFrame, sharpness};
 use serde::{Deserialize, Serialize};
 
 use super::{Notice, WarningKind};
@@ -18,10 +18,6 @@ const JUMP: f64 = 0.6;
 const PATIENCE: usize = 4;
 /// Fewest mask pixels to measure anything.
 const PIXELS: usize = 200;
-/// A sharp image has more than this share of its local contrast (over [`SPAN`] pixels) from one pixel to the next.
-const SHARP: f64 = 0.055;
-const SPAN: usize = 4;
-
 /// What the frame before looked like.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub(super) struct View {
@@ -70,7 +66,7 @@ impl View {
                 remedy: "move the object or the camera more slowly, record at a higher rate, or use a smaller --stride",
             });
         }
-        if sharpness(frame, mask).is_some_and(|s| s < SHARP) {
+        if sharpness(&frame.color, mask).is_some_and(|s| s < BLURRED) {
             notices.push(Notice {
                 kind: WarningKind::MotionBlur,
                 patience: PATIENCE,
@@ -103,35 +99,4 @@ fn shift(a: &[usize; 4], b: &[usize; 4]) -> f64 {
 
 fn turn(a: &Isometry3<f64>, b: &Isometry3<f64>) -> f64 {
     a.rotation.angle_to(&b.rotation).to_degrees()
-}
-
-/// Contrast from one pixel to the next over contrast across [`SPAN`] pixels (sums of squares), in the direction in
-/// which it is smaller: blur along a motion takes the former and leaves the latter. `None` without any contrast.
-fn sharpness(frame: &RgbdFrame, mask: &Mask) -> Option<f64> {
-    let (w, h) = mask.size();
-    let gray = |x: usize, y: usize| {
-        let [r, g, b] = frame.color[(x, y)].map(f64::from);
-        0.3 * r + 0.6 * g + 0.1 * b
-    };
-    let object = |x: usize, y: usize| mask.get(x, y).is_some_and(|m| *m != 0);
-    let (mut near, mut far, mut count) = ([0.0; 2], [0.0; 2], 0usize);
-    for y in 0..h.saturating_sub(SPAN) {
-        for x in 0..w.saturating_sub(SPAN) {
-            if !(object(x, y) && object(x + SPAN, y) && object(x, y + SPAN)) {
-                continue;
-            }
-            let here = gray(x, y);
-            near[0] += (gray(x + 1, y) - here).powi(2);
-            near[1] += (gray(x, y + 1) - here).powi(2);
-            far[0] += (gray(x + SPAN, y) - here).powi(2);
-            far[1] += (gray(x, y + SPAN) - here).powi(2);
-            count += 1;
-        }
-    }
-    // Without texture there is nothing to be blurred.
-    let contrast = |k: usize| (far[k] / count.max(1) as f64).sqrt();
-    if count < PIXELS || contrast(0).min(contrast(1)) < 6.0 {
-        return None;
-    }
-    Some((near[0] / far[0]).min(near[1] / far[1]))
 }
