@@ -245,7 +245,7 @@ fn with_rounds(
     schedule: Schedule,
 ) -> VideoRun {
     let tracker = Tracker::with_round_hook(small(), schedule, hook).unwrap();
-    run_with(Video::of(frames(Masks::Every)), tracker, &mut Recorder::default())
+    run_with(Video::of(support::medium_frames(Masks::Every)), tracker, &mut Recorder::default())
 }
 
 #[test]
@@ -278,8 +278,8 @@ fn a_field_that_always_fails_leaves_the_tracking_alone() {
     let run = with_rounds(|_| Err("no device".into()), Schedule::Lockstep);
     assert!(run.reconstruction.mesh.is_none() && run.reconstruction.field.rounds == 0);
     assert!(!run.reconstruction.field.failures.is_empty());
-    let numbers: Vec<usize> = (0..24).collect();
-    assert!(accuracy(&run.frames, &numbers, 0..24) > 85.0);
+    let numbers: Vec<usize> = (0..support::MEDIUM).collect();
+    assert!(accuracy(&run.frames, &numbers, 0..support::MEDIUM) > 85.0);
 }
 
 #[test]
@@ -302,15 +302,15 @@ fn a_stop_during_the_last_round_ends_it_soon_with_the_mesh_so_far() {
     let hook = |round: usize| {
         ROUNDS.store(round, Ordering::SeqCst);
         // The second round is the last one.
-        STOP.store(round == 1, Ordering::SeqCst);
+        STOP.fetch_or(round == 1, Ordering::SeqCst);
         Ok(())
     };
     let tracker = Tracker::with_round_hook(config, Schedule::Lockstep, hook).unwrap();
     let start = Instant::now();
     let run = RunSoFar::new(tracker);
-    let run = continue_video(Video::of(frames(Masks::Every)), run, &STOP, &mut Recorder::default()).unwrap();
+    let run = continue_video(Video::of(support::medium_frames(Masks::Every)), run, &STOP, &mut Recorder::default()).unwrap();
     assert_eq!(ROUNDS.load(Ordering::SeqCst), 1);
-    assert!(run.interrupted && run.frames.len() == 24);
+    assert!(run.interrupted && run.frames.len() == support::MEDIUM);
     assert!(run.reconstruction.mesh.is_some() && run.reconstruction.field.failures.is_empty());
     // Not a bar on speed: the round itself would take hours.
     assert!(start.elapsed() < Duration::from_secs(300));
@@ -331,7 +331,7 @@ fn queues_and_memory_pool_keep_their_bounds() {
     let mut config = small();
     config.memory.capacity = 3;
     config.memory.min_swing_deg = 2.0;
-    let run = run(Video::of(frames(Masks::Every)), &config, Schedule::Realtime);
+    let run = run(Video::of(support::medium_frames(Masks::Every)), &config, Schedule::Realtime);
     assert!(run.reconstruction.keyframes.len() <= 3);
     assert!(run.frames.iter().filter(|f| f.keyframe).count() > 3, "more views than places");
 }

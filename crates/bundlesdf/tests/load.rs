@@ -4,15 +4,15 @@
 mod support;
 
 use bundlesdf::Schedule;
-use rgbd_synth::{Masks, Sequence};
+use rgbd_synth::Masks;
 use support::{Video, assert_same, run, small};
 
 #[test]
 fn four_trackers_at_once_give_what_each_gives_alone() {
     let video = |seed: u64| {
         let masks = if seed % 2 == 0 { Masks::Every } else { Masks::First };
-        let sequence = Sequence::tiny().with_masks(masks).with_seed(seed);
-        Video::of((0..12).map(|i| sequence.render(i).frame).collect())
+        let sequence = support::medium(masks).with_seed(seed);
+        Video::of((0..8).map(|i| sequence.render(i).frame).collect())
     };
     let videos: Vec<_> = (0..4).map(video).collect();
     let alone: Vec<_> = videos.iter().map(|v| run(v.clone(), &small(), Schedule::Lockstep)).collect();

@@ -44,6 +44,10 @@ pub(super) fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     let (folder, (run, report)) = match (&args.resume, &args.input, &args.out) {
         (Some(out), _, _) => {
             if is_done(out) {
+                // The process may have been killed between the last result and tidying up.
+                if let Ok((state, _)) = StateFolder::open(out) {
+                    state.remove()?;
+                }
                 print(&format!("{} is done: there is nothing to go on with\n", out.display()));
                 return Ok(ExitCode::SUCCESS);
             }

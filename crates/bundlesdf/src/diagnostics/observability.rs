@@ -16,9 +16,9 @@ use crate::{
 /// Keyframes that are looked at.
 const LOOKED_AT: usize = 5;
 /// Corners below which texture holds nothing.
-const CORNERS: usize = 25;
+const CORNERS: usize = 50;
 /// Root of the smallest over the largest eigenvalue below which the surface slides along itself.
-const SLIPPERY: f64 = 0.13;
+const SLIPPERY: f64 = 0.125;
 
 /// How many keyframes were looked at.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]

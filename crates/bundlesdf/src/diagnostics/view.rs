@@ -18,12 +18,17 @@ const JUMP: f64 = 0.6;
 const PATIENCE: usize = 4;
 /// Fewest mask pixels to measure anything.
 const PIXELS: usize = 200;
-/// What the frame before looked like.
+/// Half as sharp as the sharpest frame so far is blurred too, below this.
+const SOFT: f64 = 0.055;
+
+/// What the frames before looked like.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub(super) struct View {
     /// Left, top, right, bottom of the mask.
     last: Option<[usize; 4]>,
     last_pose: Option<PoseBits>,
+    /// Sharpness of the sharpest frame so far.
+    sharpest: f64,
 }
 
 /// Whether a first mask marks the background.
@@ -58,15 +63,17 @@ impl View {
         let last_pose = std::mem::replace(&mut self.last_pose, tracked.then(|| bits(&result.cam_from_obj)));
         let turned =
             last_pose.filter(|_| tracked).is_some_and(|last| turn(&pose(last), &result.cam_from_obj) > TURN);
-        if jumped || turned {
+        // In view with depth, and yet nothing like what was seen before.
+        let unmatched = !tracked && !result.keyframe && depth_share(frame, mask) > 0.5;
+        if jumped || turned || unmatched {
             notices.push(Notice {
                 kind: WarningKind::LittleOverlap,
                 patience: PATIENCE,
-                message: "two frames in a row have little in common".into(),
+                message: "the object is in view and has little in common with the frames before".into(),
                 remedy: "move the object or the camera more slowly, record at a higher rate, or use a smaller --stride",
             });
         }
-        if sharpness(&frame.color, mask).is_some_and(|s| s < BLURRED) {
+        if sharpness(&frame.color, mask).is_some_and(|s| self.is_blurred(s)) {
             notices.push(Notice {
                 kind: WarningKind::MotionBlur,
                 patience: PATIENCE,
@@ -75,6 +82,13 @@ impl View {
             });
         }
         notices
+    }
+}
+
+impl View {
+    fn is_blurred(&mut self, sharpness: f64) -> bool {
+        self.sharpest = self.sharpest.max(sharpness);
+        sharpness < BLURRED || (sharpness < SOFT && sharpness < 0.5 * self.sharpest)
     }
 }
 
@@ -99,4 +113,10 @@ fn shift(a: &[usize; 4], b: &[usize; 4]) -> f64 {
 
 fn turn(a: &Isometry3<f64>, b: &Isometry3<f64>) -> f64 {
     a.rotation.angle_to(&b.rotation).to_degrees()
+}
+
+/// Share of the object's pixels with depth.
+fn depth_share(frame: &RgbdFrame, mask: &Mask) -> f64 {
+    let object = || frame.depth.pixels().iter().zip(mask.pixels()).filter(|(_, m)| **m != 0);
+    object().filter(|(d, _)| **d > 0.0).count() as f64 / object().count().max(1) as f64
 }

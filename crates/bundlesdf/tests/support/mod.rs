@@ -11,7 +11,7 @@ use bundlesdf::{
     Config, FrameResult, Observer, Reconstruction, RunSoFar, Schedule, Tracker, VideoRun, continue_video,
 };
 use rgbd_io::{Error, FrameSource, RgbdFrame};
-use rgbd_synth::{Masks, Sequence, write_custom};
+use rgbd_synth::{Masks, Sequence, SequenceSpec, write_custom};
 
 /// Settings for some twenty frames of 160x120: several short rounds.
 pub fn small() -> Config {
@@ -39,6 +39,23 @@ pub fn without_field() -> Config {
 /// All frames of a sequence, rendered once for each choice of masks.
 pub fn frames(masks: Masks) -> Vec<RgbdFrame> {
     let video = Sequence::tiny().with_masks(masks);
+    (0..video.len()).map(|i| video.render(i).frame).collect()
+}
+
+/// Frames of [`medium`].
+pub const MEDIUM: usize = 14;
+
+/// The tiny sequence at twice its resolution, where enough is matched for many keyframes and rounds.
+pub fn medium(masks: Masks) -> Sequence {
+    let spec = Sequence::tiny().spec().clone();
+    let intrinsics = spec.intrinsics.scaled(2.0, 2.0);
+    let spec = SequenceSpec { frames: MEDIUM, width: 320, height: 240, intrinsics, masks, ..spec };
+    Sequence::new(spec).unwrap()
+}
+
+/// Its frames.
+pub fn medium_frames(masks: Masks) -> Vec<RgbdFrame> {
+    let video = medium(masks);
     (0..video.len()).map(|i| video.render(i).frame).collect()
 }
 
@@ -142,9 +159,14 @@ pub fn assert_same(a: (&[FrameResult], &Reconstruction), b: (&[FrameResult], &Re
 
 /// A folder with the first `frames` frames of the tiny sequence and a config file beside it.
 pub fn video_folder(frames: usize, masks: Masks) -> (tempfile::TempDir, PathBuf, PathBuf) {
+    folder_of(&Sequence::tiny().truncated(frames).with_masks(masks))
+}
+
+/// A folder with a sequence and a config file beside it.
+pub fn folder_of(sequence: &Sequence) -> (tempfile::TempDir, PathBuf, PathBuf) {
     let dir = tempfile::tempdir().unwrap();
     let (video, config) = (dir.path().join("video"), dir.path().join("small.toml"));
-    write_custom(&Sequence::tiny().truncated(frames).with_masks(masks), &video).unwrap();
+    write_custom(sequence, &video).unwrap();
     std::fs::write(&config, SMALL_TOML).unwrap();
     (dir, video, config)
 }
