@@ -71,6 +71,9 @@ pub struct CoarseConfig {
     pub hypotheses: usize,
     /// Largest distance of an inlier (metres, at 0.5 m; grows with the depth noise).
     pub inlier_distance: f64,
+    /// Largest part of that distance across the line of sight (pixels; widened by what the depth noise adds when the
+    /// view turns).
+    pub inlier_lateral_px: f64,
     /// Largest angle between the normals of an inlier (degrees).
     pub inlier_normal_deg: f64,
     /// Fewest inliers for a motion to be believed.
@@ -90,6 +93,7 @@ impl Default for CoarseConfig {
             max_corners_memory: 120,
             hypotheses: 500,
             inlier_distance: 0.006,
+            inlier_lateral_px: 2.0,
             inlier_normal_deg: 45.0,
             min_inliers: 8,
             min_relocalise_inliers: 11,
@@ -324,6 +328,7 @@ impl Config {
         within("coarse.hypotheses", c.hypotheses, 1..=100_000)?;
         within("coarse.min_inliers", c.min_inliers, 3..=1000)?;
         positive("coarse.inlier_distance", c.inlier_distance)?;
+        positive("coarse.inlier_lateral_px", c.inlier_lateral_px)?;
         positive("coarse.inlier_normal_deg", c.inlier_normal_deg)?;
         positive("coarse.max_translation", c.max_translation)?;
         positive("coarse.max_rotation_deg", c.max_rotation_deg)?;

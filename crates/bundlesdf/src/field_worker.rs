@@ -22,16 +22,21 @@ use crate::{
 
 /// What a round does.
 pub(crate) enum Round {
-    /// Trains a field, which refines the poses.
+    /// Trains a field, which refines the poses; then as [`Round::PoseGraph`], with the field's surface as one more
+    /// term: the field sees the whole surface and knows nothing of matches.
     Field(FieldConfig),
-    /// Solves one pose graph over all keyframes, with their cached matches by frame index `(older, newer)`.
-    PoseGraph(GraphConfig, Vec<((usize, usize), MemoryEdge)>),
+    /// Solves one pose graph over all keyframes.
+    PoseGraph,
 }
 
 /// An immutable snapshot of the pool.
 pub(crate) struct FieldRequest {
     /// What to do.
     pub(crate) round: Round,
+    /// Weights of the pose graph over all keyframes.
+    pub(crate) graph: GraphConfig,
+    /// Cached matches between keyframes by frame index, `(older, newer)`.
+    pub(crate) edges: Vec<((usize, usize), MemoryEdge)>,
     /// Frame index, what was seen and current `obj_from_cam`; the first is the anchor.
     pub(crate) frames: Vec<(usize, Arc<Observation>, Isometry3<f64>)>,
 }
@@ -109,7 +114,7 @@ fn flatten(reply: Result<FieldReply, Gone>) -> FieldReply {
 }
 
 /// Runs one round; a panic inside becomes an error, so that tracking goes on.
-pub(crate) fn round(
+fn round(
     request: &FieldRequest,
     stop: &AtomicBool,
     before: impl FnOnce() -> Result<(), String>,
@@ -120,10 +125,11 @@ pub(crate) fn round(
         before().map_err(RoundError::Failed)?;
         match &request.round {
             Round::Field(config) => train(config, request, stop),
-            Round::PoseGraph(config, edges) => {
-                let poses = global_graph::optimise(&request.frames, edges, config)
+            Round::PoseGraph => {
+                let poses: Vec<_> = request.frames.iter().map(|(_, _, pose)| *pose).collect();
+                let poses = global_graph::optimise(request, &poses, None)
                     .ok_or_else(|| RoundError::Failed("the global pose graph could not be solved".into()))?;
-                Ok((poses, None, config.iterations))
+                Ok((poses, None, request.graph.iterations))
             }
         }
     }));
@@ -142,14 +148,25 @@ pub(crate) fn round(
 type Outcome = (Vec<Isometry3<f64>>, Option<Arc<TrainedField>>, usize);
 
 fn train(config: &FieldConfig, request: &FieldRequest, stop: &AtomicBool) -> Result<Outcome, RoundError> {
-    let images: Vec<_> = request.frames.iter().map(|(_, seen, _)| seen.images.clone()).collect();
-    let poses: Vec<_> = request.frames.iter().map(|(_, _, pose)| *pose).collect();
+    let trained = train_field(config, &request.frames, stop)?;
+    let joint = global_graph::optimise(request, trained.poses(), Some(&trained));
+    let poses = joint.unwrap_or_else(|| trained.poses().to_vec());
+    Ok((poses, Some(Arc::new(trained)), config.steps))
+}
+
+/// The field of a round: the same bits whenever it is trained from the same frames.
+pub(crate) fn train_field(
+    config: &FieldConfig,
+    frames: &[(usize, Arc<Observation>, Isometry3<f64>)],
+    stop: &AtomicBool,
+) -> Result<TrainedField, RoundError> {
+    let images: Vec<_> = frames.iter().map(|(_, seen, _)| seen.images.clone()).collect();
+    let poses: Vec<_> = frames.iter().map(|(_, _, pose)| *pose).collect();
     let control = Control { stop: Some(stop), progress: None };
-    let trained = neural_field::train(config, &images, &poses, &control).map_err(|e| match e {
+    neural_field::train(config, &images, &poses, &control).map_err(|e| match e {
         FieldError::Stopped => RoundError::Stopped,
         e => RoundError::Failed(e.to_string()),
-    })?;
-    Ok((trained.poses().to_vec(), Some(Arc::new(trained)), config.steps))
+    })
 }
 
 #[cfg(test)]

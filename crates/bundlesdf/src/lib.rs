@@ -30,6 +30,7 @@ pub mod config;
 mod depth;
 pub mod diagnostics;
 pub mod evaluate;
+mod field_model;
 mod field_worker;
 mod global_graph;
 pub mod input;

@@ -167,6 +167,12 @@ impl Observation {
         (p[2] > 0.0).then_some((p, normal))
     }
 
+    /// About `count` evenly spread points (camera frame, metres) to compare with a field.
+    pub(crate) fn sdf_points(&self, count: usize) -> Vec<[f32; 3]> {
+        let step = self.samples.len().div_ceil(count.max(1)).max(1);
+        self.samples.iter().step_by(step).map(|(p, _)| *p).collect()
+    }
+
     /// Centre of the bounding box of the cloud in the camera frame, robust against stray readings (2 % at each end).
     pub fn centre(&self) -> Point3<f64> {
         let mut axes: [Vec<f32>; 3] = Default::default();

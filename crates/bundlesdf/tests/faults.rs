@@ -308,7 +308,9 @@ fn a_stop_during_the_last_round_ends_it_soon_with_the_mesh_so_far() {
     let tracker = Tracker::with_round_hook(config, Schedule::Lockstep, hook).unwrap();
     let start = Instant::now();
     let run = RunSoFar::new(tracker);
-    let run = continue_video(Video::of(support::medium_frames(Masks::Every)), run, &STOP, &mut Recorder::default()).unwrap();
+    let run =
+        continue_video(Video::of(support::medium_frames(Masks::Every)), run, &STOP, &mut Recorder::default())
+            .unwrap();
     assert_eq!(ROUNDS.load(Ordering::SeqCst), 1);
     assert!(run.interrupted && run.frames.len() == support::MEDIUM);
     assert!(run.reconstruction.mesh.is_some() && run.reconstruction.field.failures.is_empty());

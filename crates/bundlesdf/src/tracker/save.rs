@@ -17,7 +17,7 @@ use crate::{
         TrackerState, bits, fingerprint, open, pose, seal,
     },
     config::{Config, Schedule},
-    field_worker::{FieldRequest, FieldWorker, Round, RoundError, RoundHook, round},
+    field_worker::{FieldWorker, RoundError, RoundHook, train_field},
     observation::Observation,
     pool::{Keyframe, MemoryPool},
 };
@@ -252,9 +252,8 @@ fn train_again(
         Ok::<_, CheckpointError>((*index, seen(*index)?, pose(*at)))
     };
     let frames: Result<Vec<_>, _> = asked.frames.iter().map(frame).collect();
-    let request = FieldRequest { round: Round::Field(field_config(config, asked.steps)), frames: frames? };
-    match round(&request, &AtomicBool::new(false), || Ok(())) {
-        Ok(update) => update.field.ok_or_else(|| CheckpointError::Field("there is none".into())),
+    match train_field(&field_config(config, asked.steps), &frames?, &AtomicBool::new(false)) {
+        Ok(field) => Ok(Arc::new(field)),
         Err(RoundError::Failed(reason)) => Err(CheckpointError::Field(reason)),
         Err(RoundError::Stopped) => Err(CheckpointError::Field("stopped".into())),
     }
