@@ -25,11 +25,13 @@
 //! waits for each round and a run is reproducible, with [`Schedule::Realtime`] it never waits.
 
 mod ablation;
+pub mod canonical;
 pub mod checkpoint;
 pub mod config;
 mod depth;
 pub mod diagnostics;
 pub mod evaluate;
+pub mod export;
 mod field_model;
 mod field_worker;
 mod global_graph;
@@ -42,8 +44,10 @@ pub mod report;
 mod rigid;
 mod surface;
 mod sync;
+pub mod texture;
 mod tracker;
 mod video;
+mod zoom;
 
 pub use ablation::Ablation;
 pub use checkpoint::{CheckpointError, Manifest, StateFolder};

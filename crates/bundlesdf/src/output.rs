@@ -247,7 +247,11 @@ fn remove_earlier_run(root: &Path) -> std::io::Result<()> {
             }
         }
     }
-    for name in ["run.json", "keyframes.json", "mesh.ply", "mesh.obj", "eval.json"] {
+    if root.join(crate::export::SIM).join("object.urdf").is_file() {
+        fs::remove_dir_all(root.join(crate::export::SIM))?;
+    }
+    let names = ["run.json", "keyframes.json", "mesh.ply", "mesh.obj", "eval.json"];
+    for name in names.into_iter().chain(crate::export::FILES) {
         match fs::remove_file(root.join(name)) {
             Err(e) if e.kind() != std::io::ErrorKind::NotFound => return Err(e),
             _ => {}

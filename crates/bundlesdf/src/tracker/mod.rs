@@ -71,7 +71,8 @@ pub struct Tracker {
     new_keyframes: usize,
     next_index: usize,
     first_valid: usize,
-    /// No match has tied the pose to memory since a frame without matches: it may have slid over a symmetric part.
+    /// No match has tied the pose to memory since a frame without matches whose depth didn't fit everywhere: the pose
+    /// may have slid over a symmetric part.
     adrift: bool,
     /// What a checkpoint needs to make the rest again.
     provenance: Provenance,
@@ -349,6 +350,8 @@ impl Tracker {
         /// Less depth agreement than this contradicts the pose.
         const CONTRADICTED: f64 = 0.3;
         const CONVINCING: f64 = 0.5;
+        /// With as much depth agreement as this a pose needs no match to be believed.
+        const UNDISPUTED: f64 = 0.9;
         /// With less common surface than this the depth says nothing for or against.
         const MIN_OVERLAP: usize = 20;
         let agreement = agreement_with_memory(&self.pool, &observation, &estimate.pose);
@@ -368,14 +371,15 @@ impl Tracker {
             }
         }
         let tied = estimate.relocalised || estimate.memory_matches >= 2 * self.config.coarse.min_inliers;
-        self.adrift = !tied && (self.adrift || !enough);
+        self.adrift = !tied && (self.adrift || (!enough && share < UNDISPUTED));
         let observation = Arc::new(observation);
         let pose = estimate.pose;
         self.reference = Some(Reference { index, observation: observation.clone(), pose });
         self.note_observation(&observation);
         self.motion.observe(index, &pose);
+        let believed = status == Status::Tracked || (status == Status::Weak && share >= UNDISPUTED);
         let keyframe = self.config.memory.enabled
-            && status == Status::Tracked
+            && believed
             && !self.adrift
             && observation.valid as f64 >= self.config.memory.min_valid_share * self.first_valid as f64
             && self.pool.is_new_view(&pose, &self.config.memory);
