@@ -109,8 +109,9 @@ impl Diagnostics {
             notices.extend(mask.and_then(view::inverted));
         }
         if let Some(mask) = mask.filter(|_| frame.depth.size() == frame.color.size()) {
-            notices.extend(depth::check(frame, mask, &config.preprocess));
-            notices.extend(self.view.check(frame, mask, result));
+            let depth = depth::check(frame, mask, &config.preprocess);
+            notices.extend(self.view.check(frame, mask, result, depth.is_none()));
+            notices.extend(depth);
         }
         notices.extend(self.cadence.missing_before(&frame.id).map(dropped));
         notices.extend(self.observability.check(result, tracker));

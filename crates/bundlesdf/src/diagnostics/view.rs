@@ -52,7 +52,13 @@ pub(super) fn inverted(mask: &Mask) -> Option<Notice> {
 }
 
 impl View {
-    pub(super) fn check(&mut self, frame: &RgbdFrame, mask: &Mask, result: &FrameResult) -> Vec<Notice> {
+    pub(super) fn check(
+        &mut self,
+        frame: &RgbdFrame,
+        mask: &Mask,
+        result: &FrameResult,
+        has_depth: bool,
+    ) -> Vec<Notice> {
         let Some(bounds) = bounds(mask) else {
             self.last = None;
             return Vec::new();
@@ -64,7 +70,7 @@ impl View {
         let turned =
             last_pose.filter(|_| tracked).is_some_and(|last| turn(&pose(last), &result.cam_from_obj) > TURN);
         // In view with depth, and yet nothing like what was seen before.
-        let unmatched = !tracked && !result.keyframe && depth_share(frame, mask) > 0.5;
+        let unmatched = !tracked && !result.keyframe && has_depth && depth_share(frame, mask) > 0.5;
         if jumped || turned || unmatched {
             notices.push(Notice {
                 kind: WarningKind::LittleOverlap,
