@@ -24,7 +24,7 @@ use crate::{
 pub(crate) enum Round {
     /// Trains a field, which refines the poses; then as [`Round::PoseGraph`], with the field's surface as one more
     /// term: the field sees the whole surface and knows nothing of matches.
-    Field(FieldConfig),
+    Field(Box<FieldConfig>),
     /// Solves one pose graph over all keyframes.
     PoseGraph,
 }

@@ -67,7 +67,7 @@ impl Tracker {
         let settings = &self.config.field;
         let round = match settings.refiner {
             Refiner::PoseGraph => Round::PoseGraph,
-            Refiner::Field | Refiner::None => Round::Field(field_config(&self.config, steps)),
+            Refiner::Field | Refiner::None => Round::Field(Box::new(field_config(&self.config, steps))),
         };
         let frames =
             self.pool.keyframes().iter().map(|k| (k.index, k.observation.clone(), k.obj_from_cam)).collect();
