@@ -10,7 +10,7 @@ use support::{Video, assert_same, run, small};
 #[test]
 fn four_trackers_at_once_give_what_each_gives_alone() {
     let video = |seed: u64| {
-        let masks = if seed % 2 == 0 { Masks::Every } else { Masks::First };
+        let masks = if seed.is_multiple_of(2) { Masks::Every } else { Masks::First };
         let sequence = support::medium(masks).with_seed(seed);
         Video::of((0..8).map(|i| sequence.render(i).frame).collect())
     };
