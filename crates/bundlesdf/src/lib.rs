@@ -30,11 +30,13 @@ pub mod checkpoint;
 pub mod config;
 mod depth;
 pub mod diagnostics;
+pub mod draw;
 pub mod evaluate;
 pub mod export;
 mod field_model;
 mod field_worker;
 mod global_graph;
+pub mod html;
 pub mod input;
 mod link;
 pub mod observation;
@@ -42,6 +44,7 @@ pub mod output;
 mod pool;
 pub mod report;
 mod rigid;
+pub mod segmenter;
 mod surface;
 mod sync;
 pub mod texture;
@@ -58,9 +61,10 @@ pub use input::VideoInput;
 pub use observation::{Observation, Unusable};
 pub use output::OutputFolder;
 pub use pool::{Keyframe, MemoryPool};
-pub use report::{KeyframeReport, RunReport};
+pub use report::{KeyframeReport, RoundReport, RunReport};
+pub use segmenter::SegmenterChoice;
 pub use tracker::{FieldSummary, FrameResult, Reconstruction, StageTimes, Status, Tracker};
-pub use video::{Observer, RunError, RunSoFar, VideoRun, continue_video, run_video};
+pub use video::{Observer, RunError, RunSoFar, VideoRun, continue_video, run_tracker, run_video};
 
 #[cfg(doctest)]
 #[doc = include_str!("../README.md")]

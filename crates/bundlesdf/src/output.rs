@@ -21,6 +21,8 @@ use crate::{
 
 const POSES: &str = "ob_in_cam";
 const MASKS: &str = "masks";
+/// Frames with overlays, as `bundlesdf draw` writes them.
+const DRAWN: &str = "draw";
 
 /// A folder that holds one run's results.
 #[derive(Clone, Debug)]
@@ -147,6 +149,27 @@ impl OutputFolder {
         rgbd_io::read_mask(&self.root.join(MASKS).join(format!("{id}.png")))
     }
 
+    /// Reads `mesh.ply`; `None` when the run made no mesh.
+    ///
+    /// # Errors
+    /// When it is there and damaged.
+    pub fn read_mesh(&self) -> Result<Option<TriMesh>, Error> {
+        let path = self.root.join("mesh.ply");
+        if !path.exists() {
+            return Ok(None);
+        }
+        let damaged =
+            |problem: String| Error::new(&path, format!("can't be read ({problem})"), "run the video again");
+        let bytes = fs::read(&path).map_err(|e| damaged(e.to_string()))?;
+        marching_cubes::read_ply(&bytes).map(Some).map_err(|e| damaged(e.to_string()))
+    }
+
+    /// The folder of the frames that `bundlesdf draw` writes.
+    #[must_use]
+    pub fn drawn(&self) -> PathBuf {
+        self.root.join(DRAWN)
+    }
+
     fn read_json<T: DeserializeOwned>(&self, name: &str) -> Result<T, Error> {
         let path = self.root.join(name);
         let text = fs::read_to_string(&path)
@@ -236,7 +259,8 @@ fn remove_earlier_run(root: &Path) -> std::io::Result<()> {
         remove_temporary(&dir)?;
     }
     checkpoint::remove_from(root)?;
-    for (dir, kind) in [(root.join(POSES), "txt"), (root.join(MASKS), "png")] {
+    for (dir, kind) in [(POSES, "txt"), (MASKS, "png"), (DRAWN, "png")] {
+        let dir = root.join(dir);
         if !dir.is_dir() {
             continue;
         }
@@ -250,7 +274,7 @@ fn remove_earlier_run(root: &Path) -> std::io::Result<()> {
     if root.join(crate::export::SIM).join("object.urdf").is_file() {
         fs::remove_dir_all(root.join(crate::export::SIM))?;
     }
-    let names = ["run.json", "keyframes.json", "mesh.ply", "mesh.obj", "eval.json"];
+    let names = ["run.json", "keyframes.json", "mesh.ply", "mesh.obj", "eval.json", "report.html"];
     for name in names.into_iter().chain(crate::export::FILES) {
         match fs::remove_file(root.join(name)) {
             Err(e) if e.kind() != std::io::ErrorKind::NotFound => return Err(e),

@@ -8,6 +8,7 @@ use std::{
     time::{Duration, Instant},
 };
 
+use mask_tracker::VideoSegmenter;
 use rgbd_io::{FrameSource, ReadAhead};
 
 use crate::{
@@ -119,7 +120,7 @@ impl RunSoFar {
     }
 
     /// A run that goes on from what [`Observer::checkpoint`] got, without the results so far: their number is
-    /// [`Tracker::frames`].
+    /// [`Tracker::frames`]. `segmenter` is one like the run began with, which has seen nothing yet.
     ///
     /// # Errors
     /// When the bytes are damaged or belong to another run, or the video isn't what it was.
@@ -128,10 +129,11 @@ impl RunSoFar {
         schedule: Schedule,
         saved: &[u8],
         source: &dyn FrameSource,
+        segmenter: Box<dyn VideoSegmenter>,
     ) -> Result<Self, CheckpointError> {
         let (tracker, diagnostics, wall): (Vec<u8>, Diagnostics, Duration) =
             open(saved, fingerprint(config, schedule))?;
-        let tracker = Tracker::restore(config.clone(), schedule, &tracker, source)?;
+        let tracker = Tracker::restore(config.clone(), schedule, &tracker, source, segmenter)?;
         Ok(Self { tracker, frames: Vec::new(), unreadable: Vec::new(), diagnostics, wall })
     }
 }
@@ -150,7 +152,20 @@ pub fn run_video(
     stop: &AtomicBool,
     observer: &mut dyn Observer,
 ) -> Result<VideoRun, RunError> {
-    continue_video(source, RunSoFar::new(Tracker::new(config.clone(), schedule)?), stop, observer)
+    run_tracker(source, Tracker::new(config.clone(), schedule)?, stop, observer)
+}
+
+/// [`run_video`] with a tracker that was set up by the caller.
+///
+/// # Errors
+/// When the first frame can't be read, or when the observer fails.
+pub fn run_tracker(
+    source: Arc<dyn FrameSource>,
+    tracker: Tracker,
+    stop: &AtomicBool,
+    observer: &mut dyn Observer,
+) -> Result<VideoRun, RunError> {
+    continue_video(source, RunSoFar::new(tracker), stop, observer)
 }
 
 /// The same from the frame after those that `run` has taken. In lockstep the result is that of a run without a stop,

@@ -17,6 +17,10 @@ use support::{
     report, results, run, run_args, run_with, small, video_folder,
 };
 
+fn builtin() -> Box<dyn mask_tracker::VideoSegmenter> {
+    Box::new(mask_tracker::Propagate::default())
+}
+
 /// Saves after each of `cuts` frames, restores, goes on to the end, and compares with the run that was not cut.
 fn cut_and_compare(video: &std::sync::Arc<Video>, config: &Config, cuts: &[usize]) {
     let whole = run(video.clone(), config, Schedule::Lockstep);
@@ -25,7 +29,8 @@ fn cut_and_compare(video: &std::sync::Arc<Video>, config: &Config, cuts: &[usize
         let mut results: Vec<_> = (0..*cut).map(|i| tracker.track(&video.frame(i).unwrap())).collect();
         let saved = tracker.save().unwrap();
         drop(tracker);
-        let mut tracker = Tracker::restore(config.clone(), Schedule::Lockstep, &saved, &**video).unwrap();
+        let mut tracker =
+            Tracker::restore(config.clone(), Schedule::Lockstep, &saved, &**video, builtin()).unwrap();
         assert_eq!(tracker.frames(), *cut);
         // What was restored saves itself to the same bytes: nothing was lost on the way.
         assert_eq!(tracker.save().unwrap(), saved, "cut after {cut}");
@@ -62,7 +67,7 @@ fn with_the_pose_graph_in_the_fields_place_a_restored_tracker_goes_on_bit_for_bi
     let mut recorder = Recorder { keep: true, ..Recorder::default() };
     run_with(video.clone(), Tracker::new(config.clone(), Schedule::Lockstep).unwrap(), &mut recorder);
     let (count, saved) = &recorder.checkpoints[recorder.checkpoints.len() / 2];
-    let mut earlier = RunSoFar::restore(&config, Schedule::Lockstep, saved, &*video).unwrap();
+    let mut earlier = RunSoFar::restore(&config, Schedule::Lockstep, saved, &*video, builtin()).unwrap();
     earlier.frames = whole.frames[..*count].to_vec();
     let again = continue_video(video, earlier, &false.into(), &mut Recorder::default()).unwrap();
     assert_same((&whole.frames, &whole.reconstruction), (&again.frames, &again.reconstruction), "gpg");
@@ -75,7 +80,7 @@ fn a_checkpoint_of_another_config_or_another_video_is_refused() {
     (0..6).for_each(|i| drop(tracker.track(&video.frame(i).unwrap())));
     let saved = tracker.save().unwrap();
     let restore = |config: Config, source: &Video| {
-        Tracker::restore(config, Schedule::Lockstep, &saved, source).map(|t| t.frames())
+        Tracker::restore(config, Schedule::Lockstep, &saved, source, builtin()).map(|t| t.frames())
     };
     assert_eq!(restore(small(), &video).unwrap(), 6);
     let other = Config { seed: 3, ..small() };

@@ -5,7 +5,8 @@ use serde::{Deserialize, Serialize};
 
 use crate::Propagate;
 use crate::appearance::Appearance;
-use crate::propagate::Memory;
+use crate::memory::Memory;
+use crate::volume::Volume;
 use crate::warp::Sample;
 
 #[derive(Serialize, Deserialize)]
@@ -17,6 +18,8 @@ struct Saved {
 #[derive(Serialize, Deserialize)]
 struct SavedMemory {
     samples: Vec<Sample>,
+    step: usize,
+    volume: Option<Volume>,
     cam_from_obj: Option<[f64; 7]>,
     velocity: [f32; 3],
     missing: u32,
@@ -29,9 +32,11 @@ impl Propagate {
         self.commit(None);
         let memory = self.memory.as_ref().map(|memory| {
             // Every field is named: one that is added has to be saved too.
-            let Memory { samples, cam_from_obj, velocity, missing, fresh } = memory;
+            let Memory { samples, step, volume, cam_from_obj, velocity, missing, fresh } = memory;
             SavedMemory {
                 samples: samples.clone(),
+                step: *step,
+                volume: volume.clone(),
                 cam_from_obj: cam_from_obj.as_ref().map(numbers),
                 velocity: (*velocity).into(),
                 missing: *missing,
@@ -42,14 +47,17 @@ impl Propagate {
     }
 
     pub(crate) fn go_on_from(&mut self, bytes: &[u8]) -> bool {
-        let Ok(saved) = postcard::from_bytes::<Saved>(bytes) else { return false };
-        if !saved.appearance.is_whole() {
+        let Ok(mut saved) = postcard::from_bytes::<Saved>(bytes) else { return false };
+        let volume = saved.memory.as_ref().and_then(|m| m.volume.as_ref());
+        if !saved.appearance.complete() || volume.is_some_and(|v| !v.is_whole()) {
             return false;
         }
         let mut restored = Self::new(self.options.clone());
         restored.appearance = saved.appearance;
         restored.memory = saved.memory.map(|m| Memory {
             samples: m.samples,
+            step: m.step,
+            volume: m.volume,
             cam_from_obj: m.cam_from_obj.map(isometry),
             velocity: Vector3::from(m.velocity),
             missing: m.missing,

@@ -8,6 +8,7 @@ use std::{
     time::Duration,
 };
 
+use mask_tracker::VideoSegmenter;
 use rgbd_io::{Error, FrameSource, poses::write_atomic};
 use serde::{Deserialize, Serialize};
 
@@ -15,6 +16,7 @@ use super::{PoseBits, bits, pose};
 use crate::{
     config::{Config, Schedule},
     input::VideoInput,
+    segmenter::SegmenterChoice,
     tracker::{FrameResult, StageTimes, Status},
     video::RunSoFar,
 };
@@ -37,6 +39,8 @@ pub struct Manifest {
     pub config: Config,
     /// How the tracker and the field take turns.
     pub schedule: Schedule,
+    /// Where masks come from that the video doesn't have.
+    pub segmenter: SegmenterChoice,
     /// Number of frames of the video.
     pub frames: usize,
     /// Checksum of the frames' names.
@@ -46,12 +50,17 @@ pub struct Manifest {
 impl Manifest {
     /// The manifest of a new run.
     #[must_use]
-    pub fn new(input: &VideoInput, config: &Config, schedule: Schedule, source: &dyn FrameSource) -> Self {
+    pub fn new(
+        input: &VideoInput,
+        (config, schedule, segmenter): (&Config, Schedule, &SegmenterChoice),
+        source: &dyn FrameSource,
+    ) -> Self {
         Self {
             version: env!("CARGO_PKG_VERSION").to_owned(),
             input: input.clone(),
             config: config.clone(),
             schedule,
+            segmenter: segmenter.clone(),
             frames: source.len(),
             names: names(source),
         }
@@ -179,17 +188,23 @@ impl StateFolder {
         fs::rename(&fresh, &newest).map_err(|e| failed(&newest, &e))
     }
 
-    /// How far the run came: from the newest checkpoint that is whole. The journal goes on from there.
+    /// How far the run came: from the newest checkpoint that is whole. The journal goes on from there. `segmenter`
+    /// makes one like the run began with.
     ///
     /// # Errors
     /// When the journal can't be cut back to the checkpoint.
-    pub fn earlier(&mut self, manifest: &Manifest, source: &dyn FrameSource) -> Result<Earlier, Error> {
+    pub fn earlier(
+        &mut self,
+        manifest: &Manifest,
+        source: &dyn FrameSource,
+        segmenter: &dyn Fn() -> Result<Box<dyn VideoSegmenter>, Error>,
+    ) -> Result<Earlier, Error> {
         let path = self.root.join(JOURNAL);
         let records = read_journal(&fs::read(&path).map_err(|e| failed(&path, &e))?);
         let mut earlier = Earlier::default();
         for name in CHECKPOINTS {
             let Ok(bytes) = fs::read(self.root.join(name)) else { continue };
-            match self.run_from(&bytes, &records, manifest, source) {
+            match self.run_from(&bytes, &records, manifest, source, segmenter()?) {
                 Ok(run) => {
                     earlier.run = Some(run);
                     break;
@@ -212,8 +227,9 @@ impl StateFolder {
         records: &[(u64, SavedFrame)],
         manifest: &Manifest,
         source: &dyn FrameSource,
+        segmenter: Box<dyn VideoSegmenter>,
     ) -> Result<RunSoFar, String> {
-        let mut run = RunSoFar::restore(&manifest.config, manifest.schedule, bytes, source)
+        let mut run = RunSoFar::restore(&manifest.config, manifest.schedule, bytes, source, segmenter)
             .map_err(|e| e.to_string())?;
         let count = run.tracker.frames();
         let records = records.get(..count).ok_or("the journal has fewer frames than the checkpoint")?;

@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::{PackedMask, PoseBits};
-use crate::pool::MemoryEdge;
+use crate::{pool::MemoryEdge, report::RoundReport};
 
 /// A remembered frame without what was seen in it.
 #[derive(Serialize, Deserialize)]
@@ -38,6 +38,7 @@ pub(crate) struct SavedSummary {
     pub(crate) steps: usize,
     pub(crate) ms_per_round_median: f64,
     pub(crate) failures: Vec<String>,
+    pub(crate) history: Vec<RoundReport>,
     pub(crate) times: Vec<f64>,
 }
 

@@ -5,19 +5,29 @@ use std::{io::IsTerminal, time::Duration};
 use bundlesdf::{FrameResult, Observer, OutputFolder, RunSoFar, StateFolder, Status, Tracker, Warning};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 
-/// Shows frames, rate, keyframes and the latest status while poses go to disk.
+use super::log::Log;
+
+/// Shows (or logs) frames, rate, keyframes and the latest status while poses go to disk.
 pub(super) struct Progress<'a> {
     bar: ProgressBar,
     folder: &'a OutputFolder,
     state: StateFolder,
+    log: Log,
     lost: usize,
+    rounds: usize,
     /// Why the frame that comes next could not be read.
     unreadable: Option<rgbd_io::Error>,
 }
 
 impl<'a> Progress<'a> {
-    pub(super) fn new(run: &RunSoFar, frames: usize, folder: &'a OutputFolder, state: StateFolder) -> Self {
-        let target = if std::io::stderr().is_terminal() {
+    pub(super) fn new(
+        run: &RunSoFar,
+        frames: usize,
+        folder: &'a OutputFolder,
+        state: StateFolder,
+        log: Log,
+    ) -> Self {
+        let target = if log == Log::Text && std::io::stderr().is_terminal() {
             ProgressDrawTarget::stderr()
         } else {
             ProgressDrawTarget::hidden()
@@ -29,7 +39,8 @@ impl<'a> Progress<'a> {
         }
         bar.set_position(run.frames.len() as u64);
         let lost = run.frames.iter().filter(|f| f.status == Status::Lost).count();
-        Self { bar, folder, state, lost, unreadable: None }
+        let rounds = run.tracker.field_summary().history.len();
+        Self { bar, folder, state, log, lost, rounds, unreadable: None }
     }
 
     /// Takes the bar off the screen.
@@ -49,6 +60,12 @@ impl Observer for Progress<'_> {
             self.lost
         ));
         self.bar.inc(1);
+        self.log.frame(result, keyframes);
+        let history = &tracker.field_summary().history;
+        for (round, report) in history.iter().enumerate().skip(self.rounds) {
+            self.log.round(round + 1, report);
+        }
+        self.rounds = history.len();
         if let Some(mask) = tracker.mask() {
             self.folder.write_mask(&result.id, mask)?;
         }
@@ -57,12 +74,12 @@ impl Observer for Progress<'_> {
     }
 
     fn unreadable(&mut self, error: &rgbd_io::Error) {
-        self.bar.suspend(|| eprintln!("warning: {error}; the frame counts as lost"));
+        self.bar.suspend(|| self.log.warning(&format!("{error}; the frame counts as lost")));
         self.unreadable = Some(error.clone());
     }
 
     fn warning(&mut self, warning: &Warning) {
-        self.bar.suspend(|| eprintln!("warning: {warning}"));
+        self.bar.suspend(|| self.log.warning(&warning.to_string()));
     }
 
     fn keeps_checkpoints(&self) -> bool {
@@ -74,6 +91,7 @@ impl Observer for Progress<'_> {
     }
 
     fn finishing(&mut self) {
+        self.log.finishing();
         self.bar.set_message("final round and mesh");
         self.bar.enable_steady_tick(Duration::from_millis(200));
     }

@@ -3,12 +3,15 @@
 use std::{io::Write, path::Path, process::ExitCode, sync::Arc};
 
 use bundlesdf::{
-    Config, Manifest, OutputFolder, RunError, RunReport, RunSoFar, Schedule, StateFolder, Status, Tracker,
-    VideoInput, VideoRun, continue_video, input::mask_source,
+    Config, Manifest, OutputFolder, RunError, RunReport, RunSoFar, Schedule, SegmenterChoice, StateFolder,
+    Status, Tracker, VideoInput, VideoRun, continue_video, input::mask_source, segmenter::OnTrouble,
 };
 use rgbd_io::{CustomOptions, FrameSource};
 
-use super::{EXIT_BAD_INPUT, EXIT_INTERRUPTED, InputArgs, RunArgs, progress::Progress, stop_flag};
+use super::{
+    EXIT_BAD_INPUT, EXIT_INTERRUPTED, InputArgs, RunArgs, log::Log, progress::Progress, report::write_report,
+    stop_flag,
+};
 
 /// How the input arguments read a custom folder.
 pub(super) fn custom_options(args: &InputArgs) -> CustomOptions {
@@ -40,7 +43,7 @@ fn video_input(args: &RunArgs, input: &Path) -> anyhow::Result<VideoInput> {
 }
 
 /// Tracks a video, or goes on with one.
-pub(super) fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
+pub(super) fn run(args: &RunArgs, log: Log) -> anyhow::Result<ExitCode> {
     let (folder, (run, report)) = match (&args.resume, &args.input, &args.out) {
         (Some(out), _, _) => {
             if is_done(out) {
@@ -53,7 +56,7 @@ pub(super) fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
             }
             let (state, manifest) = StateFolder::open(out)?;
             let folder = OutputFolder::reopen(out)?;
-            let done = go_on(state, &manifest, &folder)?;
+            let done = go_on(state, &manifest, &folder, log)?;
             (folder, done)
         }
         (None, Some(input), Some(out)) => {
@@ -61,18 +64,20 @@ pub(super) fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
             let input = video_input(args, input)?;
             let source = input.open()?;
             let folder = OutputFolder::create(out, args.force)?;
-            let done = track(source, input, &config, schedule, &folder)?;
+            let done = track(source, input, (&config, schedule, &args.how.segmenter), &folder, log)?;
             (folder, done)
         }
         _ => anyhow::bail!("give a video and --out, or --resume with an output folder"),
     };
+    write_report(&folder, log);
+    log.summary(&report, &folder);
     print(&summary(&report, &folder));
     Ok(match run.unreadable.first() {
         _ if run.interrupted => ExitCode::from(EXIT_INTERRUPTED),
         Some(first) => {
             let others = run.unreadable.len() - 1;
             let more = if others > 0 { format!(" (and {others} more frames)") } else { String::new() };
-            eprintln!("error: {first}{more}");
+            log.error(&format!("{first}{more}"), EXIT_BAD_INPUT);
             ExitCode::from(EXIT_BAD_INPUT)
         }
         None => ExitCode::SUCCESS,
@@ -89,14 +94,19 @@ fn is_done(out: &Path) -> bool {
 pub(super) fn track(
     source: Arc<dyn FrameSource>,
     input: VideoInput,
-    config: &Config,
-    schedule: Schedule,
+    (config, schedule, segmenter): (&Config, Schedule, &SegmenterChoice),
     folder: &OutputFolder,
+    log: Log,
 ) -> anyhow::Result<(VideoRun, RunReport)> {
-    let manifest = Manifest::new(&input, config, schedule, &*source);
+    let manifest = Manifest::new(&input, (config, schedule, segmenter), &*source);
+    let segmenter = segmenter.build(&*source, on_trouble(log))?;
     let state = StateFolder::create(folder.path(), &manifest)?;
-    let run = RunSoFar::new(Tracker::new(config.clone(), schedule)?);
-    complete(run, source, state, &manifest, folder)
+    let run = RunSoFar::new(Tracker::new(config.clone(), schedule)?.with_segmenter(segmenter));
+    complete(run, source, state, &manifest, folder, log)
+}
+
+fn on_trouble(log: Log) -> OnTrouble {
+    Arc::new(move |text: &str| log.warning(text))
 }
 
 /// The same from the newest checkpoint of an earlier run.
@@ -104,18 +114,23 @@ fn go_on(
     mut state: StateFolder,
     manifest: &Manifest,
     folder: &OutputFolder,
+    log: Log,
 ) -> anyhow::Result<(VideoRun, RunReport)> {
     let source = manifest.open_input()?;
-    let earlier = state.earlier(manifest, &*source)?;
+    let segmenter = || manifest.segmenter.build(&*source, on_trouble(log));
+    let earlier = state.earlier(manifest, &*source, &segmenter)?;
     for reason in &earlier.unusable {
-        eprintln!("warning: {reason}; going on from an earlier point");
+        log.warning(&format!("{reason}; going on from an earlier point"));
     }
     let run = match earlier.run {
         Some(run) => run,
-        None => RunSoFar::new(Tracker::new(manifest.config.clone(), manifest.schedule)?),
+        None => {
+            let tracker = Tracker::new(manifest.config.clone(), manifest.schedule)?;
+            RunSoFar::new(tracker.with_segmenter(segmenter()?))
+        }
     };
-    eprintln!("going on after {} of {} frames", run.frames.len(), source.len());
-    complete(run, source, state, manifest, folder)
+    log.note(&format!("going on after {} of {} frames", run.frames.len(), source.len()));
+    complete(run, source, state, manifest, folder, log)
 }
 
 fn complete(
@@ -124,9 +139,11 @@ fn complete(
     state: StateFolder,
     manifest: &Manifest,
     folder: &OutputFolder,
+    log: Log,
 ) -> anyhow::Result<(VideoRun, RunReport)> {
     let stop = stop_flag();
-    let mut progress = Progress::new(&run, source.len(), folder, state);
+    log.start(source.len(), &manifest.input, folder);
+    let mut progress = Progress::new(&run, source.len(), folder, state, log);
     let outcome = continue_video(source, run, &stop, &mut progress);
     let state = progress.close();
     let run = outcome.map_err(|error| match error {
@@ -179,7 +196,7 @@ pub(super) fn summary(report: &RunReport, folder: &OutputFolder) -> String {
         (
             "results",
             format!(
-                "{} (ob_in_cam/, masks/, mesh.obj, mesh.ply, keyframes.json, run.json)",
+                "{} (report.html, ob_in_cam/, masks/, mesh.obj, mesh.ply, keyframes.json, run.json)",
                 folder.path().display()
             ),
         ),

@@ -5,7 +5,7 @@ use std::{
     sync::{Arc, atomic::AtomicBool},
 };
 
-use mask_tracker::SurfacePoint;
+use mask_tracker::{SurfacePoint, VideoSegmenter};
 use nalgebra::Isometry3;
 use neural_field::TrainedField;
 use rgbd_io::FrameSource;
@@ -126,6 +126,7 @@ impl Tracker {
                 steps: summary.steps,
                 ms_per_round_median: summary.ms_per_round_median,
                 failures: summary.failures.clone(),
+                history: summary.history.clone(),
                 times: summary.times.clone(),
             },
             new_keyframes: if under_way { pool.keyframes().len() } else { *new_keyframes },
@@ -138,7 +139,8 @@ impl Tracker {
 
     /// A tracker that goes on where [`Tracker::save`] was called: in lockstep all that follows is the same bit for
     /// bit. `source` is the video the tracker was fed with, from its first frame; it is read again for the keyframes,
-    /// and the newest field is trained again.
+    /// and the newest field is trained again. `segmenter` is one like the tracker began with (by default
+    /// [`Propagate`](mask_tracker::Propagate)), which has seen nothing yet.
     ///
     /// # Errors
     /// When the bytes are damaged or belong to another run, or the video isn't what it was.
@@ -147,9 +149,11 @@ impl Tracker {
         schedule: Schedule,
         saved: &[u8],
         source: &dyn FrameSource,
+        segmenter: Box<dyn VideoSegmenter>,
     ) -> Result<Self, CheckpointError> {
         let state: TrackerState = open(saved, fingerprint(&config, schedule))?;
         let mut tracker = Self::new(config, schedule).map_err(|_| CheckpointError::OtherRun)?;
+        tracker.segmenter = segmenter;
         if !tracker.segmenter.restore(&state.segmenter) {
             return Err(CheckpointError::Damaged);
         }
@@ -188,8 +192,8 @@ impl Tracker {
             .iter()
             .map(|[x, y, z, a, b, c]| SurfacePoint { position: [*x, *y, *z], normal: [*a, *b, *c] })
             .collect();
-        let SavedSummary { rounds, steps, ms_per_round_median, failures, times } = state.summary;
-        tracker.summary = FieldSummary { rounds, ms_per_round_median, steps, failures, times };
+        let SavedSummary { rounds, steps, ms_per_round_median, failures, history, times } = state.summary;
+        tracker.summary = FieldSummary { rounds, ms_per_round_median, steps, failures, history, times };
         tracker.new_keyframes = state.new_keyframes;
         tracker.next_index = state.next_index;
         tracker.first_valid = state.first_valid;
