@@ -3,17 +3,17 @@
 use std::{
     panic::{AssertUnwindSafe, catch_unwind},
     sync::{
-        Arc,
+        Arc, Mutex, PoisonError,
         atomic::{AtomicBool, AtomicUsize, Ordering},
     },
     time::{Duration, Instant},
 };
 
 use nalgebra::Isometry3;
-use neural_field::{Control, FieldConfig, FieldError, TrainedField};
+use neural_field::{Control, Device, FieldConfig, FieldError, TrainedField};
 
 use crate::{
-    config::GraphConfig,
+    config::{FieldDevice, GraphConfig},
     global_graph,
     link::{Gone, Link},
     observation::Observation,
@@ -47,6 +47,10 @@ pub(crate) struct FieldUpdate {
     pub(crate) poses: Vec<(usize, Isometry3<f64>)>,
     /// The trained field, if that was the task.
     pub(crate) field: Option<Arc<TrainedField>>,
+    /// The device that trained it; empty without a field.
+    pub(crate) device: String,
+    /// Why it was not the device asked for.
+    pub(crate) warning: Option<String>,
     /// Training steps of the round, or iterations of the pose graph.
     pub(crate) steps: usize,
     /// Time of the round.
@@ -75,11 +79,14 @@ pub(crate) struct FieldWorker {
 
 impl FieldWorker {
     /// A worker whose thread starts with the first round.
-    pub(crate) fn new(hook: Option<RoundHook>) -> Self {
+    pub(crate) fn new(device: FieldDevice, hook: Option<RoundHook>) -> Self {
         let count = AtomicUsize::new(0);
+        // One round at a time: nobody waits for the lock, and a device stays open between rounds and threads.
+        let place = Mutex::new(Place::new(device));
         let work = move |request: FieldRequest, stop: &AtomicBool| {
             let number = count.fetch_add(1, Ordering::Relaxed);
-            round(&request, stop, || hook.as_ref().map_or(Ok(()), |hook| hook(number)))
+            let mut place = place.lock().unwrap_or_else(PoisonError::into_inner);
+            round(&mut place, &request, stop, || hook.as_ref().map_or(Ok(()), |hook| hook(number)))
         };
         Self { link: Link::new(Arc::new(work)) }
     }
@@ -113,8 +120,42 @@ fn flatten(reply: Result<FieldReply, Gone>) -> FieldReply {
     })
 }
 
+/// Where fields are trained, opened by the first round that needs it.
+pub(crate) struct Place {
+    wanted: FieldDevice,
+    opened: Option<Device>,
+    /// Not yet reported.
+    warning: Option<String>,
+}
+
+impl Place {
+    pub(crate) fn new(wanted: FieldDevice) -> Self {
+        Self { wanted, opened: None, warning: None }
+    }
+
+    /// The device that was asked for, or the CPU with a warning.
+    fn device(&mut self) -> &mut Device {
+        let wanted = self.wanted;
+        let warning = &mut self.warning;
+        self.opened.get_or_insert_with(|| {
+            let opened = catch_unwind(|| match wanted {
+                FieldDevice::Auto => Ok(Device::best()),
+                FieldDevice::Cpu => Ok(Device::Cpu),
+                FieldDevice::Gpu => Device::gpu(),
+            });
+            match opened {
+                Ok(Ok(device)) => return device,
+                Ok(Err(e)) => *warning = Some(format!("{e}; the field is trained on the CPU")),
+                Err(_) => *warning = Some("the GPU's driver failed; the field is trained on the CPU".into()),
+            }
+            Device::Cpu
+        })
+    }
+}
+
 /// Runs one round; a panic inside becomes an error, so that tracking goes on.
 fn round(
+    place: &mut Place,
     request: &FieldRequest,
     stop: &AtomicBool,
     before: impl FnOnce() -> Result<(), String>,
@@ -124,16 +165,24 @@ fn round(
     let outcome = catch_unwind(AssertUnwindSafe(|| {
         before().map_err(RoundError::Failed)?;
         match &request.round {
-            Round::Field(config) => train(config, request, stop),
+            Round::Field(config) => train(place, config, request, stop),
             Round::PoseGraph => {
                 let poses: Vec<_> = request.frames.iter().map(|(_, _, pose)| *pose).collect();
                 let poses = global_graph::optimise(request, &poses, None)
                     .ok_or_else(|| RoundError::Failed("the global pose graph could not be solved".into()))?;
-                Ok((poses, None, request.graph.iterations))
+                Ok(Outcome {
+                    poses,
+                    field: None,
+                    steps: request.graph.iterations,
+                    device: String::new(),
+                    warning: None,
+                })
             }
         }
     }));
-    let (poses, field, steps) = outcome.map_err(|panic| {
+    let Outcome { poses, field, steps, device, warning } = outcome.map_err(|panic| {
+        // A driver that fails once fails again: from now on the CPU.
+        place.opened = Some(Device::Cpu);
         let text = panic.downcast_ref::<&str>().copied();
         let text = text.or_else(|| panic.downcast_ref::<String>().map(String::as_str));
         RoundError::Failed(format!(
@@ -142,31 +191,46 @@ fn round(
         ))
     })??;
     let poses = request.frames.iter().map(|(index, _, _)| *index).zip(poses).collect();
-    Ok(FieldUpdate { poses, field, steps, elapsed: start.elapsed() })
+    Ok(FieldUpdate { poses, field, device, warning, steps, elapsed: start.elapsed() })
 }
 
-type Outcome = (Vec<Isometry3<f64>>, Option<Arc<TrainedField>>, usize);
-
-fn train(config: &FieldConfig, request: &FieldRequest, stop: &AtomicBool) -> Result<Outcome, RoundError> {
-    let trained = train_field(config, &request.frames, stop)?;
-    let joint = global_graph::optimise(request, trained.poses(), Some(&trained));
-    let poses = joint.unwrap_or_else(|| trained.poses().to_vec());
-    Ok((poses, Some(Arc::new(trained)), config.steps))
+struct Outcome {
+    poses: Vec<Isometry3<f64>>,
+    field: Option<Arc<TrainedField>>,
+    steps: usize,
+    device: String,
+    warning: Option<String>,
 }
 
-/// The field of a round: the same bits whenever it is trained from the same frames.
+fn train(
+    place: &mut Place,
+    config: &FieldConfig,
+    request: &FieldRequest,
+    stop: &AtomicBool,
+) -> Result<Outcome, RoundError> {
+    let (field, device, warning) = train_field(place, config, &request.frames, stop)?;
+    let joint = global_graph::optimise(request, field.poses(), Some(&field));
+    let poses = joint.unwrap_or_else(|| field.poses().to_vec());
+    let warning = place.warning.take().or(warning);
+    Ok(Outcome { poses, field: Some(field), steps: config.steps, device, warning })
+}
+
+/// The field of a round, the device that trained it, and why it wasn't the one asked for. On the CPU it is the same
+/// bits whenever it is trained from the same frames.
 pub(crate) fn train_field(
+    place: &mut Place,
     config: &FieldConfig,
     frames: &[(usize, Arc<Observation>, Isometry3<f64>)],
     stop: &AtomicBool,
-) -> Result<TrainedField, RoundError> {
+) -> Result<(Arc<TrainedField>, String, Option<String>), RoundError> {
     let images: Vec<_> = frames.iter().map(|(_, seen, _)| seen.images.clone()).collect();
     let poses: Vec<_> = frames.iter().map(|(_, _, pose)| *pose).collect();
     let control = Control { stop: Some(stop), progress: None };
-    neural_field::train(config, &images, &poses, &control).map_err(|e| match e {
+    let trained = place.device().train(config, &images, &poses, &control).map_err(|e| match e {
         FieldError::Stopped => RoundError::Stopped,
         e => RoundError::Failed(e.to_string()),
-    })
+    })?;
+    Ok((trained.field, trained.device, trained.warning))
 }
 
 #[cfg(test)]

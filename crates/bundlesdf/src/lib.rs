@@ -54,7 +54,7 @@ mod zoom;
 
 pub use ablation::Ablation;
 pub use checkpoint::{CheckpointError, Manifest, StateFolder};
-pub use config::{Config, ConfigError, Schedule};
+pub use config::{Config, ConfigError, FieldDevice, Schedule};
 pub use depth::depth_sigma;
 pub use diagnostics::{Warning, WarningKind};
 pub use input::VideoInput;

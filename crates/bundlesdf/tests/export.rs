@@ -1,5 +1,5 @@
 //! From a finished results folder to assets, with true poses and the true mesh in place of a tracked one.
-#![allow(clippy::panic, clippy::unwrap_used, clippy::expect_used)]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use std::{
     fs,

@@ -39,6 +39,8 @@ pub(crate) struct SavedSummary {
     pub(crate) ms_per_round_median: f64,
     pub(crate) failures: Vec<String>,
     pub(crate) history: Vec<RoundReport>,
+    pub(crate) device: String,
+    pub(crate) warnings: Vec<String>,
     pub(crate) times: Vec<f64>,
 }
 

@@ -20,6 +20,7 @@ use std::{
     },
 };
 
+use bundlesdf::FieldDevice;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 
 use self::log::Log;
@@ -220,10 +221,11 @@ struct HowArgs {
     /// `command:PROGRAM` (a program fed frames and answering masks, see docs/masks.md).
     #[arg(long, default_value = "propagate", value_name = "HOW")]
     segmenter: bundlesdf::SegmenterChoice,
-    /// Where the field is trained.
-    #[arg(long, value_enum, default_value_t = Device::Auto)]
-    device: Device,
-    /// Bit-identical results in every run on one machine (implies lockstep).
+    /// Where the field is trained, instead of what the config says; auto is a GPU if this build can use one and there
+    /// is one, else the CPU.
+    #[arg(long, value_enum)]
+    device: Option<Device>,
+    /// Bit-identical results in every run on one machine (implies lockstep and the CPU).
     #[arg(long)]
     deterministic: bool,
 }
@@ -252,10 +254,6 @@ impl HowArgs {
     /// The config and schedule that these arguments ask for.
     fn resolve(&self) -> anyhow::Result<(bundlesdf::Config, bundlesdf::Schedule)> {
         anyhow::ensure!(
-            self.device != Device::Gpu,
-            "--device gpu: this version trains the field on the CPU only; use --device auto or cpu"
-        );
-        anyhow::ensure!(
             !(self.deterministic && self.schedule == ScheduleArg::Realtime),
             "--deterministic needs the lockstep schedule; leave out --schedule realtime"
         );
@@ -274,6 +272,21 @@ impl HowArgs {
         if let Some(ablation) = self.ablate {
             ablation.apply(&mut config);
         }
+        if let Some(device) = self.device {
+            config.field.device = match device {
+                Device::Auto => FieldDevice::Auto,
+                Device::Cpu => FieldDevice::Cpu,
+                Device::Gpu => FieldDevice::Gpu,
+            };
+        }
+        if self.deterministic {
+            anyhow::ensure!(
+                config.field.device != FieldDevice::Gpu,
+                "--deterministic needs the CPU: a GPU adds in no fixed order; leave out --device gpu"
+            );
+            config.field.device = FieldDevice::Cpu;
+        }
+        config.validate().map_err(|problem| anyhow::anyhow!("config: {problem}"))?;
         let schedule = match self.schedule {
             ScheduleArg::Lockstep => bundlesdf::Schedule::Lockstep,
             ScheduleArg::Realtime => bundlesdf::Schedule::Realtime,

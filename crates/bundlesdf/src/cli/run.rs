@@ -203,6 +203,9 @@ pub(super) fn summary(report: &RunReport, folder: &OutputFolder) -> String {
     ] {
         text.push_str(&format!("{name:<10} {value}\n"));
     }
+    for warning in &report.field.warnings {
+        text.push_str(&format!("{:<10} {warning}\n", "warning"));
+    }
     for failure in &report.field.failures {
         text.push_str(&format!("{:<10} a field round failed: {failure}\n", "warning"));
     }

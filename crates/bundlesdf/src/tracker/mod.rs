@@ -101,7 +101,8 @@ impl Tracker {
     /// When a value of the config is outside its range.
     pub fn new(config: Config, schedule: Schedule) -> Result<Self, ConfigError> {
         config.validate().map_err(|problem| ConfigError { path: "config".into(), problem })?;
-        let worker = (config.field.refiner != Refiner::None).then(|| FieldWorker::new(None));
+        let worker =
+            (config.field.refiner != Refiner::None).then(|| FieldWorker::new(config.field.device, None));
         Ok(Self {
             config,
             schedule,

@@ -27,6 +27,12 @@ pub struct FieldSummary {
     pub ms_per_round_median: f64,
     /// Training steps of these rounds.
     pub steps: usize,
+    /// The device that trained the last field.
+    #[serde(default)]
+    pub device: String,
+    /// Why rounds were not trained on the device asked for, if any were not.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub warnings: Vec<String>,
     /// Why rounds failed, if any did.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub failures: Vec<String>,
@@ -124,6 +130,13 @@ impl Tracker {
         self.summary.history.push(RoundReport::of(&update));
         self.field = update.field.or(self.field.take());
         self.surface = fused_surface(&self.pool);
+        if let Some(warning) = update.warning.filter(|_| self.summary.warnings.len() < MOST_FAILURES) {
+            tracing::warn!(%warning, "not on the device asked for");
+            self.summary.warnings.push(warning);
+        }
+        if !update.device.is_empty() {
+            self.summary.device = update.device;
+        }
         self.summary.rounds += 1;
         self.summary.steps = update.steps;
         self.summary.times.push(update.elapsed.as_secs_f64() * 1e3);

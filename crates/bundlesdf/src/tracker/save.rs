@@ -17,7 +17,7 @@ use crate::{
         TrackerState, bits, fingerprint, open, pose, seal,
     },
     config::{Config, Schedule},
-    field_worker::{FieldWorker, RoundError, RoundHook, train_field},
+    field_worker::{FieldWorker, Place, RoundError, RoundHook, train_field},
     observation::Observation,
     pool::{Keyframe, MemoryPool},
 };
@@ -70,7 +70,8 @@ impl Tracker {
     ) -> Result<Self, crate::config::ConfigError> {
         let mut tracker = Self::new(config, schedule)?;
         let hook: RoundHook = Arc::new(hook);
-        tracker.worker = tracker.worker.map(|_| FieldWorker::new(Some(hook)));
+        let device = tracker.config.field.device;
+        tracker.worker = tracker.worker.map(|_| FieldWorker::new(device, Some(hook)));
         Ok(tracker)
     }
 
@@ -127,6 +128,8 @@ impl Tracker {
                 ms_per_round_median: summary.ms_per_round_median,
                 failures: summary.failures.clone(),
                 history: summary.history.clone(),
+                device: summary.device.clone(),
+                warnings: summary.warnings.clone(),
                 times: summary.times.clone(),
             },
             new_keyframes: if under_way { pool.keyframes().len() } else { *new_keyframes },
@@ -192,8 +195,10 @@ impl Tracker {
             .iter()
             .map(|[x, y, z, a, b, c]| SurfacePoint { position: [*x, *y, *z], normal: [*a, *b, *c] })
             .collect();
-        let SavedSummary { rounds, steps, ms_per_round_median, failures, history, times } = state.summary;
-        tracker.summary = FieldSummary { rounds, ms_per_round_median, steps, failures, history, times };
+        let SavedSummary { rounds, steps, ms_per_round_median, failures, history, device, warnings, times } =
+            state.summary;
+        tracker.summary =
+            FieldSummary { rounds, ms_per_round_median, steps, failures, history, device, warnings, times };
         tracker.new_keyframes = state.new_keyframes;
         tracker.next_index = state.next_index;
         tracker.first_valid = state.first_valid;
@@ -256,8 +261,9 @@ fn train_again(
         Ok::<_, CheckpointError>((*index, seen(*index)?, pose(*at)))
     };
     let frames: Result<Vec<_>, _> = asked.frames.iter().map(frame).collect();
-    match train_field(&field_config(config, asked.steps), &frames?, &AtomicBool::new(false)) {
-        Ok(field) => Ok(Arc::new(field)),
+    let mut place = Place::new(config.field.device);
+    match train_field(&mut place, &field_config(config, asked.steps), &frames?, &AtomicBool::new(false)) {
+        Ok((field, _, _)) => Ok(field),
         Err(RoundError::Failed(reason)) => Err(CheckpointError::Field(reason)),
         Err(RoundError::Stopped) => Err(CheckpointError::Field("stopped".into())),
     }
