@@ -52,8 +52,9 @@ fn finished_run(dir: &Path) -> OutputFolder {
         tracking_hz_median: 0.0,
         wall_s: 0.0,
         mesh: MeshReport::default(),
-        interrupted: false,
         warnings: Vec::new(),
+        unreadable: Vec::new(),
+        interrupted: false,
     };
     folder.write_report(&report).unwrap();
     folder

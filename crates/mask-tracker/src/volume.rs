@@ -5,6 +5,7 @@
 //! object, however well it moves along and however much it looks like it.
 
 use nalgebra::{Isometry3, Point3};
+use serde::{Deserialize, Serialize};
 
 use crate::grid::{Camera, Grid, depth_noise};
 
@@ -14,7 +15,7 @@ const SIDE: usize = 64;
 const TURNS: usize = 4;
 const MOST: u8 = 24;
 
-#[derive(Clone, Copy, Default)]
+#[derive(Clone, Copy, Default, Serialize, Deserialize)]
 struct Voxel {
     /// Times it was looked through.
     free: u8,
@@ -25,6 +26,7 @@ struct Voxel {
 }
 
 /// A cube of voxels around the object.
+#[derive(Clone, Serialize, Deserialize)]
 pub(crate) struct Volume {
     corner: [f32; 3],
     voxel: f32,
@@ -55,6 +57,11 @@ impl Volume {
         let corner = std::array::from_fn(|k| center[k] + 0.3 * size * away[k] / norm - half);
         let voxels = vec![Voxel::default(); SIDE * SIDE * SIDE];
         Some(Self { corner, voxel: 2.0 * half / SIDE as f32, voxels, turn: 0 })
+    }
+
+    /// False for a damaged copy.
+    pub(crate) fn is_whole(&self) -> bool {
+        self.voxels.len() == SIDE * SIDE * SIDE && self.voxel > 0.0
     }
 
     fn index(&self, p: [f32; 3]) -> Option<usize> {

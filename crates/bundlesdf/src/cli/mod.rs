@@ -38,6 +38,7 @@ Examples:
                                           cut the first mask out of a box around the object
   bundlesdf run VIDEO --out OUT           track VIDEO from the mask of its first frame
   bundlesdf run VIDEO --out OUT --masks all --schedule realtime
+  bundlesdf run --resume OUT              go on with a run that was stopped
   bundlesdf export OUT --canonical --sim  write textured meshes and simulator files of a finished run
   bundlesdf draw OUT --video OUT/poses.gif  draw box, axes and outline over the frames
 
@@ -110,7 +111,8 @@ enum DemoMasks {
 #[derive(Args, Debug)]
 struct RunArgs {
     /// Folder of the video; with --dataset the folder of the dataset.
-    input: PathBuf,
+    #[arg(required_unless_present = "resume")]
+    input: Option<PathBuf>,
     /// The input is a published dataset: ho3d, ycbineoat, behave, bop, tum or custom.
     #[arg(long, value_name = "NAME")]
     dataset: Option<String>,
@@ -118,8 +120,15 @@ struct RunArgs {
     #[arg(long, value_name = "NAME", requires = "dataset")]
     video: Option<String>,
     /// Folder for the results: report.html, ob_in_cam/, masks/, mesh.obj, mesh.ply, keyframes.json, run.json.
-    #[arg(long)]
-    out: PathBuf,
+    #[arg(long, required_unless_present = "resume")]
+    out: Option<PathBuf>,
+    /// Go on with the run in this output folder that was stopped: by Ctrl-C, a kill, a full disk. Video and settings
+    /// are those it began with, and so is the result.
+    #[arg(long, value_name = "OUT", conflicts_with_all = [
+        "input", "out", "force", "dataset", "video", "masks", "first_mask", "stride", "depth_scale", "config",
+        "ablate", "schedule", "device", "deterministic", "segmenter",
+    ])]
+    resume: Option<PathBuf>,
     /// Replace the results of an earlier run in the folder.
     #[arg(long)]
     force: bool,
