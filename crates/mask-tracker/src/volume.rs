@@ -14,6 +14,8 @@ const SIDE: usize = 64;
 /// Only every so many-th layer is carved in a frame, in turn.
 const TURNS: usize = 4;
 const MOST: u8 = 24;
+/// Preference of a point outside the cube, which is twice as large as the object looked: a rigid thing doesn't grow.
+const TOO_FAR: f32 = -2.5;
 
 #[derive(Clone, Copy, Default, Serialize, Deserialize)]
 struct Voxel {
@@ -76,7 +78,8 @@ impl Volume {
         Some(index)
     }
 
-    /// What the voxels say of each cell's point, positive = object, about within +-3; 0 where nothing is known.
+    /// What the voxels say of each cell's point, positive = object, about within +-3; 0 where
+    /// nothing is known.
     pub(crate) fn testimony(&self, grid: &Grid, camera: &Camera, cam_from_obj: &Isometry3<f32>) -> Vec<f32> {
         let obj_from_cam = cam_from_obj.inverse();
         (0..grid.window.len())
@@ -87,7 +90,9 @@ impl Volume {
                 }
                 let (u, v) = grid.window.center(i);
                 let p = obj_from_cam * Point3::from(camera.unproject(u, v, z));
-                let Some(voxel) = self.index([p.x, p.y, p.z]).map(|k| self.voxels[k]) else { return 0.0 };
+                let Some(voxel) = self.index([p.x, p.y, p.z]).map(|k| self.voxels[k]) else {
+                    return TOO_FAR;
+                };
                 let empty = f32::from(voxel.free) - 2.0 * f32::from(voxel.object);
                 if empty > 1.0 {
                     return -(0.4 * empty).min(3.0);
