@@ -26,8 +26,10 @@
 
 mod ablation;
 pub mod canonical;
+pub mod checkpoint;
 pub mod config;
 mod depth;
+pub mod diagnostics;
 pub mod draw;
 pub mod evaluate;
 pub mod export;
@@ -36,6 +38,7 @@ mod field_worker;
 mod global_graph;
 pub mod html;
 pub mod input;
+mod link;
 pub mod observation;
 pub mod output;
 mod pool;
@@ -43,14 +46,17 @@ pub mod report;
 mod rigid;
 pub mod segmenter;
 mod surface;
+mod sync;
 pub mod texture;
 mod tracker;
 mod video;
 mod zoom;
 
 pub use ablation::Ablation;
-pub use config::{Config, ConfigError, Schedule};
+pub use checkpoint::{CheckpointError, Manifest, StateFolder};
+pub use config::{Config, ConfigError, FieldDevice, Schedule};
 pub use depth::depth_sigma;
+pub use diagnostics::{Warning, WarningKind};
 pub use input::VideoInput;
 pub use observation::{Observation, Unusable};
 pub use output::OutputFolder;
@@ -58,7 +64,7 @@ pub use pool::{Keyframe, MemoryPool};
 pub use report::{KeyframeReport, RoundReport, RunReport};
 pub use segmenter::SegmenterChoice;
 pub use tracker::{FieldSummary, FrameResult, Reconstruction, StageTimes, Status, Tracker};
-pub use video::{Observer, RunError, VideoRun, run_tracker, run_video};
+pub use video::{Observer, RunError, RunSoFar, VideoRun, continue_video, run_tracker, run_video};
 
 #[cfg(doctest)]
 #[doc = include_str!("../README.md")]

@@ -6,6 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::{
     config::{Config, Schedule},
+    diagnostics::Warning,
     field_worker::FieldUpdate,
     input::VideoInput,
     pool::Keyframe,
@@ -37,11 +38,14 @@ pub struct RunReport {
     pub wall_s: f64,
     /// The final mesh.
     pub mesh: MeshReport,
-    /// Whether the run was stopped before the last frame.
-    pub interrupted: bool,
-    /// What went wrong without ending the run, such as frames that could not be read.
+    /// What is likely wrong with the input, with the remedy.
     #[serde(default)]
-    pub warnings: Vec<String>,
+    pub warnings: Vec<Warning>,
+    /// Frames whose files could not be read, with the reason.
+    #[serde(default)]
+    pub unreadable: Vec<String>,
+    /// Whether the run was stopped before the end.
+    pub interrupted: bool,
 }
 
 /// One frame of `run.json`.
@@ -110,8 +114,9 @@ impl RunReport {
             tracking_hz_median: if median > 0.0 { 1.0 / median } else { 0.0 },
             wall_s: run.wall.as_secs_f64(),
             mesh: run.reconstruction.mesh.as_ref().map_or_else(MeshReport::default, MeshReport::of),
+            warnings: run.warnings.clone(),
+            unreadable: run.unreadable.iter().map(ToString::to_string).collect(),
             interrupted: run.interrupted,
-            warnings: run.unreadable.iter().map(ToString::to_string).collect(),
         }
     }
 

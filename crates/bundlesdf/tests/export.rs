@@ -1,5 +1,5 @@
 //! From a finished results folder to assets, with true poses and the true mesh in place of a tracked one.
-#![allow(clippy::unwrap_used, clippy::expect_used)]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use std::{
     fs,
@@ -52,6 +52,8 @@ fn finished_run(dir: &Path) -> OutputFolder {
         tracking_hz_median: 0.0,
         wall_s: 0.0,
         mesh: MeshReport::default(),
+        warnings: Vec::new(),
+        unreadable: Vec::new(),
         interrupted: false,
     };
     folder.write_report(&report).unwrap();

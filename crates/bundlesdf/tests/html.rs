@@ -61,6 +61,7 @@ fn results(root: &Path, mesh: TriMesh) -> OutputFolder {
         frames,
         reconstruction,
         unreadable: Vec::new(),
+        warnings: Vec::new(),
         interrupted: false,
         wall: Duration::from_secs(3),
     };

@@ -5,6 +5,7 @@
 //! object, however well it moves along and however much it looks like it.
 
 use nalgebra::{Isometry3, Point3};
+use serde::{Deserialize, Serialize};
 
 use crate::grid::{Camera, Grid, depth_noise};
 
@@ -13,8 +14,10 @@ const SIDE: usize = 64;
 /// Only every so many-th layer is carved in a frame, in turn.
 const TURNS: usize = 4;
 const MOST: u8 = 24;
+/// Preference of a point outside the cube, which is twice as large as the object looked: a rigid thing doesn't grow.
+const TOO_FAR: f32 = -2.5;
 
-#[derive(Clone, Copy, Default)]
+#[derive(Clone, Copy, Default, Serialize, Deserialize)]
 struct Voxel {
     /// Times it was looked through.
     free: u8,
@@ -25,6 +28,7 @@ struct Voxel {
 }
 
 /// A cube of voxels around the object.
+#[derive(Clone, Serialize, Deserialize)]
 pub(crate) struct Volume {
     corner: [f32; 3],
     voxel: f32,
@@ -57,6 +61,11 @@ impl Volume {
         Some(Self { corner, voxel: 2.0 * half / SIDE as f32, voxels, turn: 0 })
     }
 
+    /// False for a damaged copy.
+    pub(crate) fn is_whole(&self) -> bool {
+        self.voxels.len() == SIDE * SIDE * SIDE && self.voxel > 0.0
+    }
+
     fn index(&self, p: [f32; 3]) -> Option<usize> {
         let mut index = 0;
         for k in 0..3 {
@@ -69,7 +78,8 @@ impl Volume {
         Some(index)
     }
 
-    /// What the voxels say of each cell's point, positive = object, about within +-3; 0 where nothing is known.
+    /// What the voxels say of each cell's point, positive = object, about within +-3; 0 where
+    /// nothing is known.
     pub(crate) fn testimony(&self, grid: &Grid, camera: &Camera, cam_from_obj: &Isometry3<f32>) -> Vec<f32> {
         let obj_from_cam = cam_from_obj.inverse();
         (0..grid.window.len())
@@ -80,7 +90,9 @@ impl Volume {
                 }
                 let (u, v) = grid.window.center(i);
                 let p = obj_from_cam * Point3::from(camera.unproject(u, v, z));
-                let Some(voxel) = self.index([p.x, p.y, p.z]).map(|k| self.voxels[k]) else { return 0.0 };
+                let Some(voxel) = self.index([p.x, p.y, p.z]).map(|k| self.voxels[k]) else {
+                    return TOO_FAR;
+                };
                 let empty = f32::from(voxel.free) - 2.0 * f32::from(voxel.object);
                 if empty > 1.0 {
                     return -(0.4 * empty).min(3.0);

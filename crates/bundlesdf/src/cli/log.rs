@@ -58,6 +58,11 @@ impl Log {
         });
     }
 
+    /// Something worth knowing that is no trouble.
+    pub(super) fn note(self, message: &str) {
+        self.say("note", "\x1b[1m", message, &[]);
+    }
+
     pub(super) fn warning(self, message: &str) {
         self.say("warning", "\x1b[1;33m", message, &[]);
     }

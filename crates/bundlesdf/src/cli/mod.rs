@@ -20,6 +20,7 @@ use std::{
     },
 };
 
+use bundlesdf::FieldDevice;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 
 use self::log::Log;
@@ -37,6 +38,7 @@ Examples:
                                           cut the first mask out of a box around the object
   bundlesdf run VIDEO --out OUT           track VIDEO from the mask of its first frame
   bundlesdf run VIDEO --out OUT --masks all --schedule realtime
+  bundlesdf run --resume OUT              go on with a run that was stopped
   bundlesdf export OUT --canonical --sim  write textured meshes and simulator files of a finished run
   bundlesdf draw OUT --video OUT/poses.gif  draw box, axes and outline over the frames
 
@@ -109,7 +111,8 @@ enum DemoMasks {
 #[derive(Args, Debug)]
 struct RunArgs {
     /// Folder of the video; with --dataset the folder of the dataset.
-    input: PathBuf,
+    #[arg(required_unless_present = "resume")]
+    input: Option<PathBuf>,
     /// The input is a published dataset: ho3d, ycbineoat, behave, bop, tum or custom.
     #[arg(long, value_name = "NAME")]
     dataset: Option<String>,
@@ -117,8 +120,15 @@ struct RunArgs {
     #[arg(long, value_name = "NAME", requires = "dataset")]
     video: Option<String>,
     /// Folder for the results: report.html, ob_in_cam/, masks/, mesh.obj, mesh.ply, keyframes.json, run.json.
-    #[arg(long)]
-    out: PathBuf,
+    #[arg(long, required_unless_present = "resume")]
+    out: Option<PathBuf>,
+    /// Go on with the run in this output folder that was stopped: by Ctrl-C, a kill, a full disk. Video and settings
+    /// are those it began with, and so is the result.
+    #[arg(long, value_name = "OUT", conflicts_with_all = [
+        "input", "out", "force", "dataset", "video", "masks", "first_mask", "stride", "depth_scale", "config",
+        "ablate", "schedule", "device", "deterministic", "segmenter",
+    ])]
+    resume: Option<PathBuf>,
     /// Replace the results of an earlier run in the folder.
     #[arg(long)]
     force: bool,
@@ -211,10 +221,11 @@ struct HowArgs {
     /// `command:PROGRAM` (a program fed frames and answering masks, see docs/masks.md).
     #[arg(long, default_value = "propagate", value_name = "HOW")]
     segmenter: bundlesdf::SegmenterChoice,
-    /// Where the field is trained.
-    #[arg(long, value_enum, default_value_t = Device::Auto)]
-    device: Device,
-    /// Bit-identical results in every run on one machine (implies lockstep).
+    /// Where the field is trained, instead of what the config says; auto is a GPU if this build can use one and there
+    /// is one, else the CPU.
+    #[arg(long, value_enum)]
+    device: Option<Device>,
+    /// Bit-identical results in every run on one machine (implies lockstep and the CPU).
     #[arg(long)]
     deterministic: bool,
 }
@@ -243,10 +254,6 @@ impl HowArgs {
     /// The config and schedule that these arguments ask for.
     fn resolve(&self) -> anyhow::Result<(bundlesdf::Config, bundlesdf::Schedule)> {
         anyhow::ensure!(
-            self.device != Device::Gpu,
-            "--device gpu: this version trains the field on the CPU only; use --device auto or cpu"
-        );
-        anyhow::ensure!(
             !(self.deterministic && self.schedule == ScheduleArg::Realtime),
             "--deterministic needs the lockstep schedule; leave out --schedule realtime"
         );
@@ -265,6 +272,21 @@ impl HowArgs {
         if let Some(ablation) = self.ablate {
             ablation.apply(&mut config);
         }
+        if let Some(device) = self.device {
+            config.field.device = match device {
+                Device::Auto => FieldDevice::Auto,
+                Device::Cpu => FieldDevice::Cpu,
+                Device::Gpu => FieldDevice::Gpu,
+            };
+        }
+        if self.deterministic {
+            anyhow::ensure!(
+                config.field.device != FieldDevice::Gpu,
+                "--deterministic needs the CPU: a GPU adds in no fixed order; leave out --device gpu"
+            );
+            config.field.device = FieldDevice::Cpu;
+        }
+        config.validate().map_err(|problem| anyhow::anyhow!("config: {problem}"))?;
         let schedule = match self.schedule {
             ScheduleArg::Lockstep => bundlesdf::Schedule::Lockstep,
             ScheduleArg::Realtime => bundlesdf::Schedule::Realtime,

@@ -44,6 +44,7 @@ mod tests {
             frames: Vec::new(),
             reconstruction,
             unreadable: Vec::new(),
+            warnings: Vec::new(),
             interrupted: true,
             wall: std::time::Duration::ZERO,
         };
@@ -70,7 +71,7 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let folder = OutputFolder::create(dir.path(), false).unwrap();
         let mut report = empty_run();
-        report.warnings.push("<script>alert(1)</script>.png: is truncated".into());
+        report.unreadable.push("<script>alert(1)</script>.png: is truncated".into());
         folder.write_report(&report).unwrap();
         folder.write_json("keyframes.json", &Vec::<crate::KeyframeReport>::new()).unwrap();
         let text = std::fs::read_to_string(write_page(&folder).unwrap()).unwrap();

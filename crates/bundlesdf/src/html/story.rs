@@ -60,6 +60,7 @@ pub(super) fn story(results: &Results) -> Story {
         || (has_mesh && results.coverage() < 0.25)
         || report.interrupted
         || !report.warnings.is_empty()
+        || !report.unreadable.is_empty()
     {
         Verdict::Gaps
     } else {
@@ -134,7 +135,13 @@ fn advice(results: &Results) -> Vec<Advice> {
         let remedy = "Tracking went on without it; poses may drift more.";
         list.push(Advice::new(format!("A round of the field failed: {failure}."), remedy));
     }
-    for warning in report.warnings.iter().chain(&results.problems) {
+    for warning in &report.warnings {
+        list.push(Advice::new(
+            format!("From frame {} on: {}.", warning.frame, warning.message),
+            warning.remedy.clone(),
+        ));
+    }
+    for warning in report.unreadable.iter().chain(&results.problems) {
         list.push(Advice::new(format!("{warning}."), "A frame that could not be read counts as lost."));
     }
     if report.interrupted {
