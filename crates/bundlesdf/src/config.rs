@@ -201,6 +201,8 @@ pub struct FieldSettings {
     pub first_round_keyframes: usize,
     /// New keyframes that start a further round in the `lockstep` schedule.
     pub keyframes_per_round: usize,
+    /// Where rounds are trained.
+    pub device: FieldDevice,
     /// Training steps of an online round.
     pub steps: usize,
     /// Training steps of the last round, from which the mesh is taken.
@@ -218,6 +220,7 @@ impl Default for FieldSettings {
             hybrid: true,
             first_round_keyframes: 5,
             keyframes_per_round: 4,
+            device: FieldDevice::Auto,
             steps: 200,
             final_steps: 800,
             max_translation: 0.02,
@@ -237,6 +240,19 @@ pub enum Refiner {
     PoseGraph,
     /// Nothing: the tracker and its online pose graph alone.
     None,
+}
+
+/// Where the field is trained.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum FieldDevice {
+    /// On a GPU if the build has the feature `gpu` and the machine has a real one, else on the CPU.
+    #[default]
+    Auto,
+    /// On the CPU.
+    Cpu,
+    /// On a GPU; refused by a build without the feature `gpu`.
+    Gpu,
 }
 
 /// Extraction of the final mesh.
@@ -326,6 +342,11 @@ impl Config {
                 Err(format!("{name} must be within {} to {}, is {value}", range.start(), range.end()))
             }
         };
+        if self.field.device == FieldDevice::Gpu && !cfg!(feature = "gpu") {
+            return Err(
+                "field.device is gpu, but this build has no GPU engine: build it with --features gpu".into(),
+            );
+        }
         let (p, c, m, g, f) = (&self.preprocess, &self.coarse, &self.memory, &self.graph, &self.field);
         within("preprocess.working_side", p.working_side, 60..=4000)?;
         within("preprocess.mask_erosion", p.mask_erosion, 0..=20)?;

@@ -26,14 +26,19 @@
 
 mod ablation;
 pub mod canonical;
+pub mod checkpoint;
 pub mod config;
 mod depth;
+pub mod diagnostics;
+pub mod draw;
 pub mod evaluate;
 pub mod export;
 mod field_model;
 mod field_worker;
 mod global_graph;
+pub mod html;
 pub mod input;
+mod link;
 pub mod observation;
 pub mod output;
 mod pool;
@@ -41,22 +46,25 @@ pub mod report;
 mod rigid;
 pub mod segmenter;
 mod surface;
+mod sync;
 pub mod texture;
 mod tracker;
 mod video;
 mod zoom;
 
 pub use ablation::Ablation;
-pub use config::{Config, ConfigError, Schedule};
+pub use checkpoint::{CheckpointError, Manifest, StateFolder};
+pub use config::{Config, ConfigError, FieldDevice, Schedule};
 pub use depth::depth_sigma;
+pub use diagnostics::{Warning, WarningKind};
 pub use input::VideoInput;
 pub use observation::{Observation, Unusable};
 pub use output::OutputFolder;
 pub use pool::{Keyframe, MemoryPool};
-pub use report::{KeyframeReport, RunReport};
+pub use report::{KeyframeReport, RoundReport, RunReport};
 pub use segmenter::SegmenterChoice;
 pub use tracker::{FieldSummary, FrameResult, Reconstruction, StageTimes, Status, Tracker};
-pub use video::{Observer, RunError, VideoRun, run_tracker, run_video};
+pub use video::{Observer, RunError, RunSoFar, VideoRun, continue_video, run_tracker, run_video};
 
 #[cfg(doctest)]
 #[doc = include_str!("../README.md")]

@@ -14,12 +14,15 @@ use rgbd_io::{
 use serde::{Serialize, de::DeserializeOwned};
 
 use crate::{
+    checkpoint,
     report::{KeyframeReport, RunReport},
     tracker::Reconstruction,
 };
 
 const POSES: &str = "ob_in_cam";
 const MASKS: &str = "masks";
+/// Frames with overlays, as `bundlesdf draw` writes them.
+const DRAWN: &str = "draw";
 
 /// A folder that holds one run's results.
 #[derive(Clone, Debug)]
@@ -35,13 +38,19 @@ impl OutputFolder {
     /// files are removed, nothing else.
     pub fn create(root: &Path, replace: bool) -> Result<Self, Error> {
         let (poses, masks) = (root.join(POSES), root.join(MASKS));
-        let earlier = poses.exists() || root.join("run.json").exists();
+        let earlier =
+            poses.exists() || root.join("run.json").exists() || root.join("state/manifest.json").exists();
         if earlier && !replace {
             return Err(Error::new(
                 root,
                 "already holds the results of a run",
-                "give another folder with --out, or replace it with --force",
+                "give another folder with --out, go on with a run that was stopped by --resume, or replace it with \
+                 --force",
             ));
+        }
+        if checkpoint::is_in_use(root) {
+            let remedy = "wait for it, end it, or give another folder with --out";
+            return Err(Error::new(root, "is being written to by another run", remedy));
         }
         let failed = |path: &Path, problem: &std::io::Error| {
             Error::new(path, format!("can't be prepared ({problem})"), "choose a folder you may write to")
@@ -51,6 +60,24 @@ impl OutputFolder {
         }
         for dir in [&poses, &masks] {
             fs::create_dir_all(dir).map_err(|e| failed(dir, &e))?;
+        }
+        Ok(Self { root: root.to_owned() })
+    }
+
+    /// Opens the folder of a run that was stopped, to go on with it: what a killed process left half-written is
+    /// removed.
+    ///
+    /// # Errors
+    /// When a sub-folder is missing and can't be made.
+    pub fn reopen(root: &Path) -> Result<Self, Error> {
+        let failed = |path: &Path, problem: &std::io::Error| {
+            Error::new(path, format!("can't be prepared ({problem})"), "choose a folder you may write to")
+        };
+        for dir in [root.join(POSES), root.join(MASKS)] {
+            fs::create_dir_all(&dir).map_err(|e| failed(&dir, &e))?;
+        }
+        for dir in [root.to_owned(), root.join(POSES), root.join(MASKS), root.join("state")] {
+            remove_temporary(&dir).map_err(|e| failed(&dir, &e))?;
         }
         Ok(Self { root: root.to_owned() })
     }
@@ -122,6 +149,27 @@ impl OutputFolder {
         rgbd_io::read_mask(&self.root.join(MASKS).join(format!("{id}.png")))
     }
 
+    /// Reads `mesh.ply`; `None` when the run made no mesh.
+    ///
+    /// # Errors
+    /// When it is there and damaged.
+    pub fn read_mesh(&self) -> Result<Option<TriMesh>, Error> {
+        let path = self.root.join("mesh.ply");
+        if !path.exists() {
+            return Ok(None);
+        }
+        let damaged =
+            |problem: String| Error::new(&path, format!("can't be read ({problem})"), "run the video again");
+        let bytes = fs::read(&path).map_err(|e| damaged(e.to_string()))?;
+        marching_cubes::read_ply(&bytes).map(Some).map_err(|e| damaged(e.to_string()))
+    }
+
+    /// The folder of the frames that `bundlesdf draw` writes.
+    #[must_use]
+    pub fn drawn(&self) -> PathBuf {
+        self.root.join(DRAWN)
+    }
+
     fn read_json<T: DeserializeOwned>(&self, name: &str) -> Result<T, Error> {
         let path = self.root.join(name);
         let text = fs::read_to_string(&path)
@@ -180,9 +228,39 @@ impl OutputFolder {
     }
 }
 
+/// Removes files that were not renamed to their own name before the process ended (see [`write_atomic`]).
+fn remove_temporary(dir: &Path) -> std::io::Result<()> {
+    if !dir.is_dir() {
+        return Ok(());
+    }
+    for entry in fs::read_dir(dir)? {
+        let entry = entry?;
+        if entry.file_name().to_str().is_some_and(is_temporary) {
+            fs::remove_file(entry.path())?;
+        }
+    }
+    Ok(())
+}
+
+/// `.<name>.<process>.<number>.tmp`
+fn is_temporary(name: &str) -> bool {
+    let is_number = |part: Option<&str>| part.is_some_and(|p| p.parse::<u64>().is_ok());
+    let mut parts = name.rsplit('.');
+    name.starts_with('.')
+        && parts.next() == Some("tmp")
+        && is_number(parts.next())
+        && is_number(parts.next())
+        && parts.next().is_some_and(|name| !name.is_empty())
+}
+
 /// Removes what an earlier run wrote under its own names.
 fn remove_earlier_run(root: &Path) -> std::io::Result<()> {
-    for (dir, kind) in [(root.join(POSES), "txt"), (root.join(MASKS), "png")] {
+    for dir in [root.to_owned(), root.join(POSES), root.join(MASKS), root.join("state")] {
+        remove_temporary(&dir)?;
+    }
+    checkpoint::remove_from(root)?;
+    for (dir, kind) in [(POSES, "txt"), (MASKS, "png"), (DRAWN, "png")] {
+        let dir = root.join(dir);
         if !dir.is_dir() {
             continue;
         }
@@ -196,7 +274,7 @@ fn remove_earlier_run(root: &Path) -> std::io::Result<()> {
     if root.join(crate::export::SIM).join("object.urdf").is_file() {
         fs::remove_dir_all(root.join(crate::export::SIM))?;
     }
-    let names = ["run.json", "keyframes.json", "mesh.ply", "mesh.obj", "eval.json"];
+    let names = ["run.json", "keyframes.json", "mesh.ply", "mesh.obj", "eval.json", "report.html"];
     for name in names.into_iter().chain(crate::export::FILES) {
         match fs::remove_file(root.join(name)) {
             Err(e) if e.kind() != std::io::ErrorKind::NotFound => return Err(e),

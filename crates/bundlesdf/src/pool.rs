@@ -4,6 +4,7 @@ use std::{collections::HashMap, sync::Arc};
 
 use nalgebra::Isometry3;
 use se3_lie::distance::{rotation_angle, swing_angle};
+use serde::{Deserialize, Serialize};
 
 use crate::{
     config::{KeyframeRule, MemoryConfig},
@@ -26,7 +27,7 @@ pub struct Keyframe {
 }
 
 /// Matches between two keyframes, as camera-frame points: `(older, newer, weight)`.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub(crate) struct MemoryEdge {
     pub(crate) older: Vec<[f32; 3]>,
     pub(crate) newer: Vec<[f32; 3]>,
@@ -76,6 +77,14 @@ impl MemoryPool {
             KeyframeRule::FullRotation => rotation_angle(&k.obj_from_cam.rotation, &obj_from_cam.rotation),
         };
         self.keyframes.iter().all(|k| angle(k) >= least)
+    }
+
+    /// A pool of these keyframes, oldest first, and these matches, by frame index.
+    pub(crate) fn from_parts(
+        keyframes: Vec<Keyframe>,
+        edges: impl IntoIterator<Item = ((usize, usize), MemoryEdge)>,
+    ) -> Self {
+        Self { keyframes, edges: edges.into_iter().collect() }
     }
 
     /// Makes `keyframe` the only one: memory that is switched off still has the previous frame.

@@ -1,10 +1,13 @@
 //! `run.json` and `keyframes.json`: what a run did, for programs.
 
 use marching_cubes::TriMesh;
+use neural_field::StepLosses;
 use serde::{Deserialize, Serialize};
 
 use crate::{
     config::{Config, Schedule},
+    diagnostics::Warning,
+    field_worker::FieldUpdate,
     input::VideoInput,
     pool::Keyframe,
     tracker::{FieldSummary, FrameResult, Status},
@@ -35,7 +38,13 @@ pub struct RunReport {
     pub wall_s: f64,
     /// The final mesh.
     pub mesh: MeshReport,
-    /// Whether the run was stopped before the last frame.
+    /// What is likely wrong with the input, with the remedy.
+    #[serde(default)]
+    pub warnings: Vec<Warning>,
+    /// Frames whose files could not be read, with the reason.
+    #[serde(default)]
+    pub unreadable: Vec<String>,
+    /// Whether the run was stopped before the end.
     pub interrupted: bool,
 }
 
@@ -105,6 +114,8 @@ impl RunReport {
             tracking_hz_median: if median > 0.0 { 1.0 / median } else { 0.0 },
             wall_s: run.wall.as_secs_f64(),
             mesh: run.reconstruction.mesh.as_ref().map_or_else(MeshReport::default, MeshReport::of),
+            warnings: run.warnings.clone(),
+            unreadable: run.unreadable.iter().map(ToString::to_string).collect(),
             interrupted: run.interrupted,
         }
     }
@@ -134,6 +145,67 @@ impl FrameReport {
             },
         }
     }
+}
+
+/// One finished round of the field in `run.json`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct RoundReport {
+    /// Keyframes that took part.
+    pub keyframes: usize,
+    /// Training steps, or iterations of the pose graph.
+    pub steps: usize,
+    /// Time (milliseconds).
+    pub ms: f64,
+    /// Mean training loss of consecutive equal parts of the round; empty when nothing was trained.
+    pub loss: Vec<f64>,
+    /// What the loss of the last part is made of.
+    pub terms: Option<LossTerms>,
+}
+
+/// The weighted terms of the training loss (paper section 3.4), in truncation units.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct LossTerms {
+    /// Distance near the surface.
+    pub surface: f64,
+    /// Empty space.
+    pub empty: f64,
+    /// Uncertain free space.
+    pub uncertain: f64,
+    /// Colour.
+    pub color: f64,
+    /// Eikonal regularisation.
+    pub eikonal: f64,
+}
+
+impl RoundReport {
+    /// Parts of a round: enough to draw its curve.
+    const PARTS: usize = 32;
+
+    pub(crate) fn of(update: &FieldUpdate) -> Self {
+        let losses = update.field.as_ref().map_or(&[][..], |field| field.losses());
+        let parts: Vec<_> = losses.chunks(losses.len().div_ceil(Self::PARTS).max(1)).collect();
+        let mean = |part: &[StepLosses], term: fn(&StepLosses) -> f64| {
+            rounded(part.iter().map(term).sum::<f64>() / part.len() as f64)
+        };
+        Self {
+            keyframes: update.poses.len(),
+            steps: update.steps,
+            ms: rounded(update.elapsed.as_secs_f64() * 1e3),
+            loss: parts.iter().map(|part| mean(part, StepLosses::total)).collect(),
+            terms: parts.last().map(|part| LossTerms {
+                surface: mean(part, |l| l.surface),
+                empty: mean(part, |l| l.empty),
+                uncertain: mean(part, |l| l.uncertain),
+                color: mean(part, |l| l.color),
+                eikonal: mean(part, |l| l.eikonal),
+            }),
+        }
+    }
+}
+
+/// To a millionth: more digits would only make the file longer.
+fn rounded(value: f64) -> f64 {
+    (value * 1e6).round() / 1e6
 }
 
 /// One keyframe of `keyframes.json`.

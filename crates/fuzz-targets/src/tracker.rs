@@ -5,6 +5,7 @@
 
 use crate::bytes::Bytes;
 use crate::check_pose;
+use bundlesdf::config::Refiner;
 use bundlesdf::{Config, Schedule, Tracker};
 use rgbd_io::{Image, Intrinsics, RgbdFrame};
 use rgbd_synth::{Sequence, SequenceSpec};
@@ -73,7 +74,11 @@ fn config(choice: u8) -> Config {
     config.memory.min_swing_deg = 2.0;
     config.graph.dense_pixels = 500;
     // The field trains in few inputs: a round takes as long as hundreds of frames.
-    config.field.enabled = choice & 0xc3 == 0xc3;
+    config.field.refiner = match choice & 0xc3 {
+        0xc3 => Refiner::Field,
+        0x80..=0x82 => Refiner::PoseGraph,
+        _ => Refiner::None,
+    };
     config.field.first_round_keyframes = 2;
     config.field.keyframes_per_round = 2;
     config.field.steps = 2;
@@ -157,8 +162,9 @@ fn change(bytes: &mut Bytes<'_>, frame: &mut RgbdFrame) {
         _ => {
             let period = 1 + bytes.below(7);
             let (inside, outside) = (bytes.choice(&DEPTHS, 0.5), bytes.choice(&DEPTHS, 0.6));
-            let pattern =
-                |x: usize, y: usize| if (x / period + y / period) % 2 == 0 { inside } else { outside };
+            let pattern = |x: usize, y: usize| {
+                if (x / period + y / period).is_multiple_of(2) { inside } else { outside }
+            };
             frame.depth = Image::from_fn(w, h, pattern);
         }
     }

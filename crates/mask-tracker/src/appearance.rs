@@ -1,5 +1,7 @@
 //! Colour models of object and background.
 
+use serde::{Deserialize, Serialize};
+
 use crate::grid::Color;
 
 const LUMA: usize = 16;
@@ -9,7 +11,7 @@ const BINS: usize = LUMA * CHROMA * CHROMA;
 const FLOOR: f32 = 2e-4;
 
 /// A smoothed histogram over opponent colour.
-#[derive(Clone)]
+#[derive(Clone, Serialize, Deserialize)]
 pub(crate) struct Histogram {
     density: Vec<f32>,
     filled: bool,
@@ -87,7 +89,7 @@ pub(crate) enum Band {
 }
 
 /// A histogram of which half is the first frame's, where the labels are certain, and never forgotten.
-#[derive(Clone)]
+#[derive(Clone, Serialize, Deserialize)]
 struct Anchored {
     anchor: Histogram,
     recent: Histogram,
@@ -117,10 +119,12 @@ impl Anchored {
 }
 
 /// Object against background.
+#[derive(Clone, Serialize, Deserialize)]
 pub(crate) struct Appearance {
     object: Anchored,
     background: [Anchored; 2],
     /// Log-likelihood ratio of every bin, by [`Band`]; follows from the histograms.
+    #[serde(skip)]
     table: [Vec<f32>; 2],
 }
 
@@ -149,6 +153,17 @@ impl Appearance {
         };
         appearance.tabulate();
         appearance
+    }
+
+    /// Fills in what is not saved; false for a damaged copy, whose histograms don't have their bins.
+    pub(crate) fn complete(&mut self) -> bool {
+        let models = [&self.object, &self.background[0], &self.background[1]];
+        if !models.iter().all(|m| m.anchor.density.len() == BINS && m.recent.density.len() == BINS) {
+            return false;
+        }
+        self.table = [vec![0.0; BINS], vec![0.0; BINS]];
+        self.tabulate();
+        true
     }
 
     pub(crate) fn learn(&mut self, frame: &FrameColors, rate: f32) {

@@ -38,6 +38,15 @@ impl VideoSegmenter for GivenMasks {
     fn refine(&mut self, _frame: &RgbdFrame, found: Segmentation, _prior: &Prior<'_>) -> Segmentation {
         found
     }
+
+    fn save(&mut self) -> Option<Vec<u8>> {
+        // Nothing is remembered.
+        Some(Vec::new())
+    }
+
+    fn restore(&mut self, saved: &[u8]) -> bool {
+        saved.is_empty()
+    }
 }
 
 #[cfg(test)]

@@ -50,6 +50,7 @@ mod naming;
 pub mod pipe;
 mod propagate;
 mod redetect;
+mod saved;
 mod stages;
 mod surface;
 mod upsample;
@@ -119,6 +120,18 @@ pub trait VideoSegmenter: Send {
     /// What the segmenter remembers of this frame is learnt here. Straight after [`start`](Self::start) it may be
     /// called with the first frame's pose, which returns `found` as it is.
     fn refine(&mut self, frame: &RgbdFrame, found: Segmentation, prior: &Prior<'_>) -> Segmentation;
+
+    /// Everything remembered between two frames, for [`restore`](Self::restore); `None` if this segmenter can't tell.
+    /// To be called when a frame is done.
+    fn save(&mut self) -> Option<Vec<u8>> {
+        None
+    }
+
+    /// Goes on from what [`save`](Self::save) returned, with the same results bit for bit. False, and nothing is
+    /// changed, when the bytes are not of this version.
+    fn restore(&mut self, _saved: &[u8]) -> bool {
+        false
+    }
 }
 
 #[cfg(doctest)]

@@ -58,9 +58,9 @@ impl Default for Options {
 ///
 /// Deterministic; one thread; a few milliseconds per frame at 640x480.
 pub struct Propagate {
-    options: Options,
-    appearance: Appearance,
-    memory: Option<Memory>,
+    pub(crate) options: Options,
+    pub(crate) appearance: Appearance,
+    pub(crate) memory: Option<Memory>,
     work: Option<Work>,
     clock: Clock,
 }
@@ -238,7 +238,7 @@ impl Propagate {
     }
 
     /// Remembers the frame: its cells become the samples of the next, colour models learn if it is trusted.
-    fn commit(&mut self, cam_from_obj: Option<Isometry3<f64>>) {
+    pub(crate) fn commit(&mut self, cam_from_obj: Option<Isometry3<f64>>) {
         let clock = std::mem::take(&mut self.clock);
         clock.time(Stage::Learn, || self.learn(cam_from_obj));
         self.clock = clock;
@@ -414,6 +414,14 @@ impl VideoSegmenter for Propagate {
         self.work = Some(work);
         self.commit(prior.cam_from_obj);
         Segmentation::new(mask, confidence)
+    }
+
+    fn save(&mut self) -> Option<Vec<u8>> {
+        self.saved()
+    }
+
+    fn restore(&mut self, saved: &[u8]) -> bool {
+        self.go_on_from(saved)
     }
 }
 

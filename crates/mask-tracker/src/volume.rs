@@ -5,6 +5,7 @@
 //! object, however well it moves along and however much it looks like it.
 
 use nalgebra::{Isometry3, Point3};
+use serde::{Deserialize, Serialize};
 
 use crate::grid::{Camera, Grid, depth_noise};
 
@@ -16,7 +17,7 @@ const MOST: u8 = 24;
 /// Preference of a point outside the cube, which is twice as large as the object looked: a rigid thing doesn't grow.
 const TOO_FAR: f32 = -4.0;
 
-#[derive(Clone, Copy, Default)]
+#[derive(Clone, Copy, Default, Serialize, Deserialize)]
 struct Voxel {
     /// Times it was looked through.
     free: u8,
@@ -27,6 +28,7 @@ struct Voxel {
 }
 
 /// A cube of voxels around the object.
+#[derive(Clone, Serialize, Deserialize)]
 pub(crate) struct Volume {
     corner: [f32; 3],
     voxel: f32,
@@ -59,6 +61,11 @@ impl Volume {
         let corner = std::array::from_fn(|k| center[k] + 0.3 * size * away[k] / norm - half);
         let voxels = vec![Voxel::default(); SIDE * SIDE * SIDE];
         Some(Self { corner, voxel: 2.0 * half / SIDE as f32, voxels, turn: 0 })
+    }
+
+    /// False for a damaged copy.
+    pub(crate) fn is_whole(&self) -> bool {
+        self.voxels.len() == SIDE * SIDE * SIDE && self.voxel > 0.0
     }
 
     fn index(&self, p: [f32; 3]) -> Option<usize> {

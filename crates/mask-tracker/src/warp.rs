@@ -1,11 +1,12 @@
 //! The last frame carried to the current one: coloured points that move with the object.
 
 use nalgebra::{Isometry3, Point3, Translation3};
+use serde::{Deserialize, Serialize};
 
 use crate::grid::{Bounds, Camera, Color, Grid, Window, color_distance2};
 
 /// One cell of an earlier frame, lifted to the camera frame of the last one.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 pub(crate) struct Sample {
     pub(crate) point: [f32; 3],
     pub(crate) color: Color,

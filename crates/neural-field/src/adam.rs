@@ -10,8 +10,8 @@ const EPSILON: f32 = 1e-15;
 /// Bias-corrected step sizes of one iteration.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Rate {
-    step: f32,
-    root: f32,
+    pub(crate) step: f32,
+    pub(crate) root: f32,
 }
 
 impl Rate {

@@ -6,6 +6,7 @@
 
 use crate::adam::{LevelState, Rate};
 use crate::config::FieldConfig;
+use crate::field::Parameters;
 use crate::grid::{FEATURES, Grid};
 use crate::mlp::Networks;
 use crate::pose::PoseCorrections;
@@ -20,6 +21,14 @@ const CHUNKS: usize = 16;
 
 /// Amplitude of the grid's initial features.
 const GRID_AMPLITUDE: f64 = 1e-4;
+
+/// Where every engine starts.
+pub(crate) fn initial_parameters(config: &FieldConfig) -> Parameters {
+    let resolutions = (config.base_resolution, config.finest_resolution);
+    let grid = Grid::new(config.levels, resolutions, config.log2_table_size, GRID_AMPLITUDE, config.seed);
+    let networks = Networks::new(grid.width(), config.hidden, config.geometry_features);
+    Parameters { weights: networks.init(config.seed), grid, networks }
+}
 
 /// Tiles handled by one task.
 #[derive(Debug)]
@@ -48,9 +57,7 @@ pub(crate) struct CpuEngine {
 
 impl CpuEngine {
     pub(crate) fn new(config: &FieldConfig, sampler: &Sampler) -> Self {
-        let resolutions = (config.base_resolution, config.finest_resolution);
-        let grid = Grid::new(config.levels, resolutions, config.log2_table_size, GRID_AMPLITUDE, config.seed);
-        let networks = Networks::new(grid.width(), config.hidden, config.geometry_features);
+        let Parameters { grid, networks, weights } = initial_parameters(config);
         let n = sampler.counts;
         let (lanes, central) = (n.surface_lanes(), n.central_lanes());
         let share = |tiles: usize, c: usize| c * tiles / CHUNKS..(c + 1) * tiles / CHUNKS;
@@ -76,13 +83,21 @@ impl CpuEngine {
             .collect();
         Self {
             levels: grid.levels.iter().map(|l| LevelState::new(l.len)).collect(),
-            weights: networks.init(config.seed),
+            weights,
             moments: vec![[0.0; 2]; networks.len],
             grid,
             networks,
             chunks,
             truncation: (config.truncation / sampler.volume().edge) as f32,
         }
+    }
+
+    pub(crate) fn parameters(&self) -> Parameters {
+        Parameters { grid: self.grid.clone(), networks: self.networks, weights: self.weights.clone() }
+    }
+
+    pub(crate) fn into_parameters(self) -> Parameters {
+        Parameters { grid: self.grid, networks: self.networks, weights: self.weights }
     }
 
     /// One step: samples, gradients, updates. Returns the weighted losses; poses are updated in place.

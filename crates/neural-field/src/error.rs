@@ -48,6 +48,9 @@ pub enum FieldError {
         /// The step.
         step: usize,
     },
+    /// The GPU can't do it, or did not.
+    #[error("gpu: {0}")]
+    Gpu(String),
     /// The caller asked to stop.
     #[error("stopped by the caller")]
     Stopped,

@@ -1,13 +1,11 @@
 //! A trained field: distances, colours, poses.
 
 use crate::config::FieldConfig;
-use crate::engine::CpuEngine;
 use crate::frame::FieldImages;
 use crate::grid::Grid;
 use crate::mlp::Networks;
-use crate::pose::PoseCorrections;
 use crate::rays::FrameRays;
-use crate::sampler::Sampler;
+use crate::round::Round;
 use crate::simd;
 use crate::tile::{Model, Scratch};
 use crate::train::StepLosses;
@@ -25,6 +23,15 @@ const TASK: usize = 8192;
 const RESIDUAL_POINTS: usize = 512;
 /// Points per frame that support the mesh.
 const SUPPORT_POINTS: usize = 40_000;
+
+/// What training finds, apart from the poses.
+#[derive(Clone, Debug)]
+pub(crate) struct Parameters {
+    pub(crate) grid: Grid<f32>,
+    pub(crate) networks: Networks,
+    /// In the flat layout of [`Networks`].
+    pub(crate) weights: Vec<f32>,
+}
 
 /// The result of a round: an object's signed distance and colour in the object frame, with refined poses.
 ///
@@ -47,14 +54,8 @@ pub struct TrainedField {
 }
 
 impl TrainedField {
-    pub(crate) fn new(
-        config: &FieldConfig,
-        engine: CpuEngine,
-        sampler: &Sampler,
-        corrections: &PoseCorrections,
-        frames: &[Arc<FieldImages>],
-        losses: Vec<StepLosses>,
-    ) -> Self {
+    pub(crate) fn new(round: &Round, parameters: Parameters, losses: Vec<StepLosses>) -> Self {
+        let Round { config, frames, sampler, corrections } = round;
         let poses = corrections.poses();
         let volume = sampler.volume();
         // Occupancy under the refined poses; the old one is a fallback that cannot be needed for finite poses.
@@ -62,9 +63,9 @@ impl TrainedField {
             occupancy(frames, &poses, volume.octree.voxel_size()).unwrap_or_else(|| volume.octree.clone());
         let support = support(config, &octree, frames, &poses);
         let mut field = Self {
-            grid: engine.grid,
-            networks: engine.networks,
-            weights: engine.weights,
+            grid: parameters.grid,
+            networks: parameters.networks,
+            weights: parameters.weights,
             truncation: config.truncation,
             residuals: Vec::new(),
             losses,
@@ -167,18 +168,15 @@ impl TrainedField {
         let mut scratch = Scratch::new(BLOCK, BLOCK, &self.networks);
         let mut pos = vec![0.0; 3 * BLOCK];
         let metres = self.truncation as f32;
-        let slope = (self.truncation / self.edge) as f32;
         for start in (0..points.len()).step_by(BLOCK) {
             let block = &points[start..points.len().min(start + BLOCK)];
-            self.place(block, &mut pos);
+            self.place_block(block, &mut pos);
             simd::query(&model, BLOCK, &pos, &mut scratch, gradient.is_some());
             for (l, p) in block.iter().enumerate() {
-                let known = self.octree.contains(*p);
-                sdf[start + l] = if known { metres * scratch.distances()[l] } else { f32::NAN };
+                sdf[start + l] = self.known(*p, metres * scratch.distances()[l]);
                 if let Some(g) = gradient.as_deref_mut() {
-                    let d = [0, 1, 2].map(|a| f64::from(slope * scratch.slopes()[a * BLOCK + l]));
-                    let d = self.field_from_obj.rotation.inverse_transform_vector(&Vector3::from(d));
-                    g[start + l] = if known { [d.x as f32, d.y as f32, d.z as f32] } else { [f32::NAN; 3] };
+                    let d = self.slope([0, 1, 2].map(|a| scratch.slopes()[a * BLOCK + l]));
+                    g[start + l] = d.map(|v| self.known(*p, v));
                 }
             }
         }
@@ -202,31 +200,55 @@ impl TrainedField {
         let mut views = [[0.0; 3]; BLOCK];
         for start in (0..points.len()).step_by(BLOCK) {
             let end = points.len().min(start + BLOCK);
-            self.place(&points[start..end], &mut pos);
+            self.place_block(&points[start..end], &mut pos);
             simd::query(&model, BLOCK, &pos, &mut scratch, false);
             for (view, d) in views.iter_mut().zip(&dirs[start..end]) {
-                let d = self.field_from_obj.rotation * Vector3::from(d.map(f64::from));
-                *view = [d.x as f32, d.y as f32, d.z as f32];
+                *view = self.view(*d);
             }
             simd::query_color(&model, BLOCK, &views, &mut scratch);
             for l in 0..end - start {
-                let known = self.octree.contains(points[start + l]);
-                out[start + l] =
-                    [0, 1, 2].map(|c| if known { scratch.colors()[c * BLOCK + l] } else { f32::NAN });
+                let color = [0, 1, 2].map(|c| scratch.colors()[c * BLOCK + l]);
+                out[start + l] = color.map(|v| self.known(points[start + l], v));
             }
         }
     }
 
     /// Writes points as positions in the unit cube, `[axis][lane]`; unused lanes keep what they had.
-    fn place(&self, points: &[[f32; 3]], pos: &mut [f32]) {
-        let inverse = 1.0 / self.edge;
+    fn place_block(&self, points: &[[f32; 3]], pos: &mut [f32]) {
         for (l, p) in points.iter().enumerate() {
-            let p = self.field_from_obj * Point3::from(p.map(f64::from));
-            for a in 0..3 {
-                let x = (p[a] - self.center[a]) * inverse + 0.5;
-                pos[a * BLOCK + l] = if x.is_finite() { x.clamp(0.0, 1.0) as f32 } else { 0.5 };
+            for (a, v) in self.place(*p).into_iter().enumerate() {
+                pos[a * BLOCK + l] = v;
             }
         }
+    }
+
+    /// A point of the object frame as a position in the unit cube; moved to the nearest one if outside.
+    pub(crate) fn place(&self, point: [f32; 3]) -> [f32; 3] {
+        let inverse = 1.0 / self.edge;
+        let p = self.field_from_obj * Point3::from(point.map(f64::from));
+        std::array::from_fn(|a| {
+            let x = (p[a] - self.center[a]) * inverse + 0.5;
+            if x.is_finite() { x.clamp(0.0, 1.0) as f32 } else { 0.5 }
+        })
+    }
+
+    /// The gradient by an object point, no unit, from the network's slope per edge of the cube.
+    pub(crate) fn slope(&self, by_place: [f32; 3]) -> [f32; 3] {
+        let per_metre = (self.truncation / self.edge) as f32;
+        let d = Vector3::from(by_place.map(|v| f64::from(per_metre * v)));
+        let d = self.field_from_obj.rotation.inverse_transform_vector(&d);
+        [d.x as f32, d.y as f32, d.z as f32]
+    }
+
+    /// A view direction of the object frame as the networks know it.
+    pub(crate) fn view(&self, dir: [f32; 3]) -> [f32; 3] {
+        let d = self.field_from_obj.rotation * Vector3::from(dir.map(f64::from));
+        [d.x as f32, d.y as f32, d.z as f32]
+    }
+
+    /// A value at a point, NaN where the field is unknown.
+    pub(crate) fn known(&self, point: [f32; 3], value: f32) -> f32 {
+        if self.octree.contains(point) { value } else { f32::NAN }
     }
 
     fn residual(&self, pose: &Isometry3<f64>, rays: &FrameRays) -> f32 {

@@ -19,7 +19,7 @@ pub(crate) struct Level {
     pub(crate) scale: f64,
     /// Number of stored vertices.
     pub(crate) len: usize,
-    hash_mask: Option<u32>,
+    pub(crate) hash_mask: Option<u32>,
 }
 
 impl Level {

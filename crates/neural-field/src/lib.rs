@@ -3,6 +3,7 @@
 //! A tracker's poses drift, and every depth image is noisy and partial. Fitting one surface to all frames at once,
 //! while the frames' poses may move, gives both: a shape and poses that agree with it. This is the Neural Object
 //! Field of BundleSDF (Wen et al., CVPR 2023, section 3.4) for the CPU: no GPU, no framework, a few seconds a round.
+//! With the feature `gpu` the same step also runs on any GPU that wgpu knows; see [`Device`].
 //!
 //! ```
 //! use nalgebra::Isometry3;
@@ -41,15 +42,24 @@
 //!
 //! The training step is written out as equations in `docs/field.md` of the repository.
 
+// The scenes of the integration tests name the crate.
+#[cfg(all(test, feature = "gpu"))]
+extern crate self as neural_field;
+
 mod adam;
 mod color;
 mod config;
+mod cpu;
+mod device;
+mod draws;
 mod eikonal;
 mod engine;
 mod error;
 mod field;
 mod frame;
 mod gemm;
+#[cfg(any(test, feature = "gpu"))]
+mod gpu;
 #[cfg(test)]
 mod gradient_check;
 mod grid;
@@ -61,6 +71,7 @@ mod pose;
 mod query;
 mod rays;
 mod real;
+mod round;
 mod sampler;
 mod simd;
 mod tile;
@@ -68,9 +79,14 @@ mod train;
 mod volume;
 
 pub use config::{FieldConfig, LossWeights};
+pub use cpu::CpuRound;
+pub use device::{Device, Trained};
 pub use error::FieldError;
 pub use field::TrainedField;
 pub use frame::FieldImages;
+#[cfg(feature = "gpu")]
+pub use gpu::{Gpu, GpuRound};
+pub use round::Engine;
 pub use train::{Control, Progress, StepLosses, train};
 
 #[cfg(doctest)]

@@ -73,6 +73,8 @@ pub(crate) fn geometry_forward<R: Real, const FMA: bool>(
 ) {
     let n = model.networks;
     model.grid.encode(pos, lanes, &mut s.enc, &mut s.jac);
+    // The padding must be zero, and a tile of another size may have left something there.
+    s.enc[model.grid.width() * lanes..n.encoding() * lanes].fill(R::ZERO);
     layer_forward::<R, FMA>(&n.geometry[0], model.weights, (&s.enc, lanes), (&mut s.hidden, lanes), true);
     let [_, last] = n.geometry;
     s.sdf[..lanes].fill(model.weights[last.bias().start]);

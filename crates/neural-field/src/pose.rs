@@ -17,7 +17,7 @@ pub(crate) struct PoseCorrections {
     initial: Vec<Isometry3<f64>>,
     center: Translation3<f64>,
     edge: f64,
-    bounds: Vector6<f64>,
+    pub(crate) bounds: Vector6<f64>,
     pub(crate) theta: Vec<Vector6<f64>>,
     moments: Vec<[Vector6<f64>; 2]>,
 }

@@ -1,13 +1,11 @@
 //! Draws a step's rays and samples and writes their targets into tiles.
 
 use crate::config::FieldConfig;
-use crate::grid::mix;
+use crate::draws::{Draws, Purpose};
 use crate::rays::{FrameRays, RingKind};
 use crate::tile::{RAYS, RayPose, Tile};
 use crate::volume::Volume;
 use octree_sampler::sampling;
-use rand::Rng;
-use rand_pcg::Pcg32;
 
 /// Samples per ray after rounding to whole vectors.
 #[derive(Clone, Copy, Debug)]
@@ -31,6 +29,12 @@ impl Counts {
         }
     }
 
+    /// The first of the band's strata that counts as central: those around the measured depth do.
+    pub(crate) fn central_from(&self, behind: f64) -> usize {
+        let middle = self.band as f64 / (1.0 + behind);
+        (middle - 0.5 * self.central as f64).round().clamp(0.0, (self.band - self.central) as f64) as usize
+    }
+
     pub(crate) fn surface_lanes(&self) -> usize {
         RAYS * (self.free + self.band)
     }
@@ -51,8 +55,9 @@ pub(crate) struct Sampler {
     pub(crate) counts: Counts,
     volume: Volume,
     rays: Vec<FrameRays>,
-    surface_frames: Vec<usize>,
-    ring_frames: Vec<usize>,
+    /// Frames that have rays of a kind.
+    pub(crate) surface_frames: Vec<usize>,
+    pub(crate) ring_frames: Vec<usize>,
 }
 
 /// Buffers of one worker.
@@ -62,7 +67,7 @@ pub(crate) struct Buffers {
     depths: Vec<f32>,
 }
 
-/// A ray in the object frame, metres, with its generator.
+/// A ray in the object frame, metres.
 struct Ray<'a> {
     origin: [f32; 3],
     dir: [f32; 3],
@@ -75,14 +80,6 @@ impl Ray<'_> {
         let half = 0.4999 * self.volume.edge as f32;
         (0..3).all(|a| (self.origin[a] + t * self.dir[a] - self.volume.center[a] as f32).abs() <= half)
     }
-}
-
-fn uniform(rng: &mut Pcg32) -> f32 {
-    (rng.next_u32() >> 8) as f32 * (1.0 / (1 << 24) as f32)
-}
-
-fn pick(rng: &mut Pcg32, n: usize) -> usize {
-    ((u64::from(rng.next_u32()) * n as u64) >> 32) as usize
 }
 
 impl Sampler {
@@ -113,8 +110,8 @@ impl Sampler {
         &self.rays
     }
 
-    fn generator(&self, kind: u64, step: usize, tile: usize) -> Pcg32 {
-        Pcg32::new(mix(self.config.seed ^ mix(step as u64)), mix((kind << 32) ^ tile as u64))
+    fn draws(&self, purpose: Purpose, step: usize, ray: usize) -> Draws {
+        Draws::new(self.config.seed, purpose, step, ray)
     }
 
     fn ray<'a>(&'a self, pose: &RayPose<f32>, dir: [f32; 3]) -> Ray<'a> {
@@ -139,7 +136,6 @@ impl Sampler {
         buffers: &mut Buffers,
     ) {
         let (c, n) = (&self.config, self.counts);
-        let mut rng = self.generator(0, step, index);
         let rays = (n.surface_tiles * RAYS) as f32;
         let active = step as f64 >= c.color_start * c.steps as f64;
         tile.has_color = c.weights.color > 0.0 && active;
@@ -151,15 +147,13 @@ impl Sampler {
         tile.w_eikonal.fill(0.0);
         let eikonal = c.weights.eikonal as f32 * c.eikonal_every as f32 / (rays * n.central as f32);
         let falloff_rate = if c.surface_falloff > 0.0 { (1.0 / c.surface_falloff) as f32 } else { 0.0 };
-        // The central strata are those around the measured depth.
-        let middle = n.band as f64 / (1.0 + c.behind);
-        let central_from =
-            (middle - 0.5 * n.central as f64).round().clamp(0.0, (n.band - n.central) as f64) as usize;
+        let central_from = n.central_from(c.behind);
         for r in 0..RAYS {
             let slot = step * n.surface_tiles * RAYS + index * RAYS + r;
             let frame = self.surface_frames[slot % self.surface_frames.len()];
             let source = &self.rays[frame].surface;
-            let i = pick(&mut rng, source.dir.len());
+            let mut draws = self.draws(Purpose::Surface, step, index * RAYS + r);
+            let i = draws.pick(source.dir.len());
             let (d, cosine) = (source.distance[i], source.cosine[i]);
             let weight = self.frame_weight(frame);
             tile.frame[r] = frame;
@@ -172,13 +166,13 @@ impl Sampler {
 
             buffers.depths.clear();
             self.volume.octree.intervals(ray.origin, ray.dir, 0.0, far, &mut buffers.intervals);
-            sampling::stratified(&buffers.intervals, n.free, || uniform(&mut rng), &mut buffers.depths);
+            sampling::stratified(&buffers.intervals, n.free, || draws.uniform(), &mut buffers.depths);
             if buffers.depths.is_empty() {
                 // The pose has moved the ray out of the occupied space: keep to the space before the surface.
-                sampling::band(d - 3.0 * half, d, n.free, || uniform(&mut rng), &mut buffers.depths);
+                sampling::band(d - 3.0 * half, d, n.free, || draws.uniform(), &mut buffers.depths);
             }
             buffers.depths.resize(n.free, d);
-            sampling::band(d - half, far, n.band, || uniform(&mut rng), &mut buffers.depths);
+            sampling::band(d - half, far, n.band, || draws.uniform(), &mut buffers.depths);
             buffers.depths.resize(n.free + n.band, d);
 
             let (w_surface, w_empty) = (
@@ -228,21 +222,21 @@ impl Sampler {
         buffers: &mut Buffers,
     ) {
         let (c, n) = (&self.config, self.counts);
-        let mut rng = self.generator(1, step, index);
         let samples = (n.ring_tiles * RAYS * n.free) as f32;
         tile.epsilon = c.epsilon as f32;
         for r in 0..RAYS {
             let slot = step * n.ring_tiles * RAYS + index * RAYS + r;
             let frame = self.ring_frames[slot % self.ring_frames.len()];
             let source = &self.rays[frame].ring;
-            let i = pick(&mut rng, source.dir.len());
+            let mut draws = self.draws(Purpose::Ring, step, index * RAYS + r);
+            let i = draws.pick(source.dir.len());
             let weight = self.frame_weight(frame) / samples;
             tile.frame[r] = frame;
             tile.dir[r] = source.dir[i];
             let ray = self.ray(&poses[frame], source.dir[i]);
             buffers.depths.clear();
             self.volume.octree.intervals(ray.origin, ray.dir, 0.0, source.limit[i], &mut buffers.intervals);
-            sampling::stratified(&buffers.intervals, n.free, || uniform(&mut rng), &mut buffers.depths);
+            sampling::stratified(&buffers.intervals, n.free, || draws.uniform(), &mut buffers.depths);
             let hit = !buffers.depths.is_empty();
             buffers.depths.resize(n.free, 0.0);
             let empty = source.kind[i] == RingKind::Empty;

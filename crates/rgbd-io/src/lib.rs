@@ -31,6 +31,7 @@
 //! camera types, [`poses`], [`ReadAhead`] and [`read_intrinsics`]. Feature `datasets` adds HO-3D, YCBInEOAT, BEHAVE,
 //! BOP and TUM RGB-D with their truth.
 
+mod cadence;
 mod calibration;
 mod error;
 mod frame;
@@ -39,6 +40,8 @@ mod intrinsics;
 mod listing;
 pub mod poses;
 mod read_ahead;
+mod registration;
+mod sharpness;
 
 #[cfg(feature = "codecs")]
 mod codec;
@@ -55,12 +58,15 @@ mod layout;
 #[cfg(feature = "codecs")]
 mod writer;
 
+pub use cadence::Cadence;
 pub use calibration::{parse_intrinsics, read_intrinsics};
 pub use error::Error;
 pub use frame::{FrameSource, RgbdFrame};
 pub use image::{Image, Mask};
 pub use intrinsics::Intrinsics;
 pub use read_ahead::ReadAhead;
+pub use registration::{Registration, Shift};
+pub use sharpness::{BLURRED, sharpness};
 
 #[cfg(feature = "codecs")]
 pub use codec::{

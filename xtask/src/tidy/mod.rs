@@ -2,6 +2,7 @@
 
 mod code;
 mod layers;
+mod reliability;
 mod rules;
 mod tree;
 
@@ -31,6 +32,7 @@ fn check(root: &Path) -> anyhow::Result<Vec<String>> {
     let tree = tree::Tree::read(root).with_context(|| format!("{} can't be listed", root.display()))?;
     let mut problems = layers::check(&tree);
     problems.extend(rules::check(&tree));
+    problems.extend(reliability::check(&tree));
     problems.sort();
     Ok(problems)
 }

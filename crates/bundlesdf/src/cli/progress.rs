@@ -2,19 +2,32 @@
 
 use std::{io::IsTerminal, time::Duration};
 
-use bundlesdf::{FrameResult, Observer, OutputFolder, Status, Tracker};
+use bundlesdf::{FrameResult, Observer, OutputFolder, RunSoFar, StateFolder, Status, Tracker, Warning};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 
-/// Shows frames, rate, keyframes and the latest status while poses go to disk.
+use super::log::Log;
+
+/// Shows (or logs) frames, rate, keyframes and the latest status while poses go to disk.
 pub(super) struct Progress<'a> {
     bar: ProgressBar,
     folder: &'a OutputFolder,
+    state: StateFolder,
+    log: Log,
     lost: usize,
+    rounds: usize,
+    /// Why the frame that comes next could not be read.
+    unreadable: Option<rgbd_io::Error>,
 }
 
 impl<'a> Progress<'a> {
-    pub(super) fn new(frames: usize, folder: &'a OutputFolder) -> Self {
-        let target = if std::io::stderr().is_terminal() {
+    pub(super) fn new(
+        run: &RunSoFar,
+        frames: usize,
+        folder: &'a OutputFolder,
+        state: StateFolder,
+        log: Log,
+    ) -> Self {
+        let target = if log == Log::Text && std::io::stderr().is_terminal() {
             ProgressDrawTarget::stderr()
         } else {
             ProgressDrawTarget::hidden()
@@ -24,12 +37,16 @@ impl<'a> Progress<'a> {
         if let Ok(style) = ProgressStyle::with_template(template) {
             bar.set_style(style.progress_chars("=> "));
         }
-        Self { bar, folder, lost: 0 }
+        bar.set_position(run.frames.len() as u64);
+        let lost = run.frames.iter().filter(|f| f.status == Status::Lost).count();
+        let rounds = run.tracker.field_summary().history.len();
+        Self { bar, folder, state, log, lost, rounds, unreadable: None }
     }
 
     /// Takes the bar off the screen.
-    pub(super) fn close(&self) {
+    pub(super) fn close(self) -> StateFolder {
         self.bar.finish_and_clear();
+        self.state
     }
 }
 
@@ -43,17 +60,38 @@ impl Observer for Progress<'_> {
             self.lost
         ));
         self.bar.inc(1);
+        self.log.frame(result, keyframes);
+        let history = &tracker.field_summary().history;
+        for (round, report) in history.iter().enumerate().skip(self.rounds) {
+            self.log.round(round + 1, report);
+        }
+        self.rounds = history.len();
         if let Some(mask) = tracker.mask() {
             self.folder.write_mask(&result.id, mask)?;
         }
-        self.folder.write_pose(&result.id, &result.cam_from_obj)
+        self.folder.write_pose(&result.id, &result.cam_from_obj)?;
+        self.state.append(result, self.unreadable.take().as_ref())
     }
 
     fn unreadable(&mut self, error: &rgbd_io::Error) {
-        self.bar.suspend(|| eprintln!("warning: {error}; the frame counts as lost"));
+        self.bar.suspend(|| self.log.warning(&format!("{error}; the frame counts as lost")));
+        self.unreadable = Some(error.clone());
+    }
+
+    fn warning(&mut self, warning: &Warning) {
+        self.bar.suspend(|| self.log.warning(&warning.to_string()));
+    }
+
+    fn keeps_checkpoints(&self) -> bool {
+        true
+    }
+
+    fn checkpoint(&mut self, saved: &[u8]) -> Result<(), rgbd_io::Error> {
+        self.state.write(saved)
     }
 
     fn finishing(&mut self) {
+        self.log.finishing();
         self.bar.set_message("final round and mesh");
         self.bar.enable_steady_tick(Duration::from_millis(200));
     }

@@ -1,14 +1,17 @@
 //! `bundlesdf run`.
 
-use std::{io::Write, process::ExitCode, sync::Arc};
+use std::{io::Write, path::Path, process::ExitCode, sync::Arc};
 
 use bundlesdf::{
-    Config, OutputFolder, RunReport, Schedule, SegmenterChoice, Status, Tracker, VideoInput, VideoRun,
-    input::mask_source, run_tracker, segmenter::OnTrouble,
+    Config, Manifest, OutputFolder, RunError, RunReport, RunSoFar, Schedule, SegmenterChoice, StateFolder,
+    Status, Tracker, VideoInput, VideoRun, continue_video, input::mask_source, segmenter::OnTrouble,
 };
 use rgbd_io::{CustomOptions, FrameSource};
 
-use super::{EXIT_BAD_INPUT, EXIT_INTERRUPTED, InputArgs, RunArgs, progress::Progress, stop_flag};
+use super::{
+    EXIT_BAD_INPUT, EXIT_INTERRUPTED, InputArgs, RunArgs, log::Log, progress::Progress, report::write_report,
+    stop_flag,
+};
 
 /// How the input arguments read a custom folder.
 pub(super) fn custom_options(args: &InputArgs) -> CustomOptions {
@@ -20,11 +23,11 @@ pub(super) fn custom_options(args: &InputArgs) -> CustomOptions {
     }
 }
 
-/// The video that the arguments name.
-fn video_input(args: &RunArgs) -> anyhow::Result<VideoInput> {
+/// The video that the arguments name, in the folder `input`.
+fn video_input(args: &RunArgs, input: &Path) -> anyhow::Result<VideoInput> {
     let options = &args.input_options;
     // What reads the results later may be started elsewhere.
-    let path = args.input.canonicalize().unwrap_or_else(|_| args.input.clone());
+    let path = input.canonicalize().unwrap_or_else(|_| input.to_owned());
     let (masks, stride) = (options.masks.clone(), options.stride as usize);
     match (&args.dataset, &args.video) {
         (Some(dataset), Some(video)) => {
@@ -39,45 +42,131 @@ fn video_input(args: &RunArgs) -> anyhow::Result<VideoInput> {
     }
 }
 
-/// Tracks a video.
-pub(super) fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
-    let (config, schedule) = args.how.resolve()?;
-    let input = video_input(args)?;
-    let source = input.open()?;
-    let folder = OutputFolder::create(&args.out, args.force)?;
-    let (run, report) = track(source, input, (&config, schedule, &args.how.segmenter), &folder)?;
+/// Tracks a video, or goes on with one.
+pub(super) fn run(args: &RunArgs, log: Log) -> anyhow::Result<ExitCode> {
+    let (folder, (run, report)) = match (&args.resume, &args.input, &args.out) {
+        (Some(out), _, _) => {
+            if is_done(out) {
+                // The process may have been killed between the last result and tidying up.
+                if let Ok((state, _)) = StateFolder::open(out) {
+                    state.remove()?;
+                }
+                print(&format!("{} is done: there is nothing to go on with\n", out.display()));
+                return Ok(ExitCode::SUCCESS);
+            }
+            let (state, manifest) = StateFolder::open(out)?;
+            let folder = OutputFolder::reopen(out)?;
+            let done = go_on(state, &manifest, &folder, log)?;
+            (folder, done)
+        }
+        (None, Some(input), Some(out)) => {
+            let (config, schedule) = args.how.resolve()?;
+            let input = video_input(args, input)?;
+            let source = input.open()?;
+            let folder = OutputFolder::create(out, args.force)?;
+            let done = track(source, input, (&config, schedule, &args.how.segmenter), &folder, log)?;
+            (folder, done)
+        }
+        _ => anyhow::bail!("give a video and --out, or --resume with an output folder"),
+    };
+    write_report(&folder, log);
+    log.summary(&report, &folder);
     print(&summary(&report, &folder));
     Ok(match run.unreadable.first() {
         _ if run.interrupted => ExitCode::from(EXIT_INTERRUPTED),
         Some(first) => {
             let others = run.unreadable.len() - 1;
             let more = if others > 0 { format!(" (and {others} more frames)") } else { String::new() };
-            eprintln!("error: {first}{more}");
+            log.error(&format!("{first}{more}"), EXIT_BAD_INPUT);
             ExitCode::from(EXIT_BAD_INPUT)
         }
         None => ExitCode::SUCCESS,
     })
 }
 
-/// Runs the tracker with a progress bar and writes every result.
+/// Whether the run in the folder came to its end.
+fn is_done(out: &Path) -> bool {
+    let report = OutputFolder::open(out).and_then(|folder| folder.read_report());
+    report.is_ok_and(|report| !report.interrupted)
+}
+
+/// Runs the tracker from the first frame, with a progress bar, and writes every result.
 pub(super) fn track(
     source: Arc<dyn FrameSource>,
     input: VideoInput,
     (config, schedule, segmenter): (&Config, Schedule, &SegmenterChoice),
     folder: &OutputFolder,
+    log: Log,
 ) -> anyhow::Result<(VideoRun, RunReport)> {
-    let on_trouble: OnTrouble = Arc::new(|text: &str| eprintln!("warning: {text}"));
-    let segmenter = segmenter.build(&*source, on_trouble)?;
-    let tracker = Tracker::new(config.clone(), schedule)?.with_segmenter(segmenter);
+    let manifest = Manifest::new(&input, (config, schedule, segmenter), &*source);
+    let segmenter = segmenter.build(&*source, on_trouble(log))?;
+    let state = StateFolder::create(folder.path(), &manifest)?;
+    let run = RunSoFar::new(Tracker::new(config.clone(), schedule)?.with_segmenter(segmenter));
+    complete(run, source, state, &manifest, folder, log)
+}
+
+fn on_trouble(log: Log) -> OnTrouble {
+    Arc::new(move |text: &str| log.warning(text))
+}
+
+/// The same from the newest checkpoint of an earlier run.
+fn go_on(
+    mut state: StateFolder,
+    manifest: &Manifest,
+    folder: &OutputFolder,
+    log: Log,
+) -> anyhow::Result<(VideoRun, RunReport)> {
+    let source = manifest.open_input()?;
+    let segmenter = || manifest.segmenter.build(&*source, on_trouble(log));
+    let earlier = state.earlier(manifest, &*source, &segmenter)?;
+    for reason in &earlier.unusable {
+        log.warning(&format!("{reason}; going on from an earlier point"));
+    }
+    let run = match earlier.run {
+        Some(run) => run,
+        None => {
+            let tracker = Tracker::new(manifest.config.clone(), manifest.schedule)?;
+            RunSoFar::new(tracker.with_segmenter(segmenter()?))
+        }
+    };
+    log.note(&format!("going on after {} of {} frames", run.frames.len(), source.len()));
+    complete(run, source, state, manifest, folder, log)
+}
+
+fn complete(
+    run: RunSoFar,
+    source: Arc<dyn FrameSource>,
+    state: StateFolder,
+    manifest: &Manifest,
+    folder: &OutputFolder,
+    log: Log,
+) -> anyhow::Result<(VideoRun, RunReport)> {
     let stop = stop_flag();
-    let mut progress = Progress::new(source.len(), folder);
-    let run = run_tracker(source, tracker, &stop, &mut progress);
-    progress.close();
-    let run = run?;
-    folder.write_reconstruction(&run.reconstruction)?;
-    let report = RunReport { input: Some(input), ..RunReport::new(config, schedule, &run) };
-    folder.write_report(&report)?;
+    log.start(source.len(), &manifest.input, folder);
+    let mut progress = Progress::new(&run, source.len(), folder, state, log);
+    let outcome = continue_video(source, run, &stop, &mut progress);
+    let state = progress.close();
+    let run = outcome.map_err(|error| match error {
+        RunError::Output(e) => anyhow::Error::from(with_way_on(e, folder)),
+        error => error.into(),
+    })?;
+    folder.write_reconstruction(&run.reconstruction).map_err(|e| with_way_on(e, folder))?;
+    let report = RunReport {
+        input: Some(manifest.input.clone()),
+        ..RunReport::new(&manifest.config, manifest.schedule, &run)
+    };
+    folder.write_report(&report).map_err(|e| with_way_on(e, folder))?;
+    if !run.interrupted {
+        state.remove()?;
+    }
     Ok((run, report))
+}
+
+/// An error in writing is no end: what was written is kept, and the run can go on.
+fn with_way_on(error: rgbd_io::Error, folder: &OutputFolder) -> rgbd_io::Error {
+    let remedy =
+        format!("{}; then go on with `bundlesdf run --resume {}`", error.remedy, folder.path().display());
+    rgbd_io::Error::new(error.path, error.problem, remedy)
 }
 
 /// The closing table.
@@ -107,18 +196,28 @@ pub(super) fn summary(report: &RunReport, folder: &OutputFolder) -> String {
         (
             "results",
             format!(
-                "{} (ob_in_cam/, masks/, mesh.obj, mesh.ply, keyframes.json, run.json)",
+                "{} (report.html, ob_in_cam/, masks/, mesh.obj, mesh.ply, keyframes.json, run.json)",
                 folder.path().display()
             ),
         ),
     ] {
         text.push_str(&format!("{name:<10} {value}\n"));
     }
+    for warning in &report.field.warnings {
+        text.push_str(&format!("{:<10} {warning}\n", "warning"));
+    }
     for failure in &report.field.failures {
         text.push_str(&format!("{:<10} a field round failed: {failure}\n", "warning"));
     }
+    for warning in &report.warnings {
+        text.push_str(&format!("{:<10} {warning}\n", "warning"));
+    }
     if report.interrupted {
-        text.push_str(&format!("{:<10} interrupted: results up to the last frame tracked\n", "warning"));
+        text.push_str(&format!(
+            "{:<10} interrupted: results up to the last frame tracked; go on with `bundlesdf run --resume {}`\n",
+            "warning",
+            folder.path().display()
+        ));
     }
     text
 }

@@ -90,4 +90,12 @@ impl VideoSegmenter for FolderSegmenter {
         }
         self.builtin.refine(frame, found, prior)
     }
+
+    fn save(&mut self) -> Option<Vec<u8>> {
+        self.builtin.save()
+    }
+
+    fn restore(&mut self, saved: &[u8]) -> bool {
+        self.builtin.restore(saved)
+    }
 }

@@ -8,6 +8,7 @@ use std::sync::Arc;
 
 use mask_tracker::{Propagate, VideoSegmenter};
 use rgbd_io::{Error, FrameSource};
+use serde::{Deserialize, Serialize};
 
 pub use command::{CommandSegmenter, Patience};
 pub use folder::FolderSegmenter;
@@ -16,7 +17,8 @@ pub use folder::FolderSegmenter;
 pub type OnTrouble = Arc<dyn Fn(&str) + Send + Sync>;
 
 /// The choice of a segmenter; written `propagate`, `folder:DIR` or `command:PROGRAM ARGUMENTS`.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
 pub enum SegmenterChoice {
     /// The built-in one.
     #[default]

@@ -7,9 +7,13 @@ mod memory;
 mod motion;
 mod result;
 mod rounds;
+mod save;
 mod verify;
 
-use std::{sync::Arc, time::Instant};
+use std::{
+    sync::{Arc, atomic::AtomicBool},
+    time::Instant,
+};
 
 use mask_tracker::{Prior, Propagate, Segmentation, SurfacePoint, VideoSegmenter};
 use nalgebra::{Isometry3, Translation3};
@@ -23,6 +27,7 @@ use self::{
     },
     graph::{GraphProblem, GraphResult},
     motion::Motion,
+    save::Provenance,
 };
 pub use self::{
     result::{FrameResult, StageTimes, Status},
@@ -69,6 +74,8 @@ pub struct Tracker {
     /// No match has tied the pose to memory since a frame without matches whose depth didn't fit everywhere: the pose
     /// may have slid over a symmetric part.
     adrift: bool,
+    /// What a checkpoint needs to make the rest again.
+    provenance: Provenance,
 }
 
 /// A pose and what supports it, before it is judged.
@@ -94,7 +101,8 @@ impl Tracker {
     /// When a value of the config is outside its range.
     pub fn new(config: Config, schedule: Schedule) -> Result<Self, ConfigError> {
         config.validate().map_err(|problem| ConfigError { path: "config".into(), problem })?;
-        let worker = if config.field.refiner == Refiner::None { None } else { FieldWorker::start() };
+        let worker =
+            (config.field.refiner != Refiner::None).then(|| FieldWorker::new(config.field.device, None));
         Ok(Self {
             config,
             schedule,
@@ -113,6 +121,7 @@ impl Tracker {
             next_index: 0,
             first_valid: 0,
             adrift: false,
+            provenance: Provenance::default(),
         })
     }
 
@@ -149,7 +158,7 @@ impl Tracker {
         let index = self.next_index;
         self.next_index += 1;
         let _span = tracing::info_span!("frame", index, id = frame.id).entered();
-        self.take_field_reply(false);
+        self.poll_field();
         let start = Instant::now();
         let mut times = StageTimes::default();
         let masked = self.segment(frame);
@@ -161,7 +170,7 @@ impl Tracker {
         if self.round_is_due() {
             self.start_round();
             if self.schedule == Schedule::Lockstep {
-                self.take_field_reply(true);
+                self.wait_for_field(&AtomicBool::new(false));
                 if result.keyframe
                     && let Some(keyframe) = self.pool.get(index)
                 {
@@ -226,6 +235,7 @@ impl Tracker {
         let inliers = observation.corners(self.config.coarse.max_corners).len();
         let observation = Arc::new(observation);
         self.reference = Some(Reference { index, observation: observation.clone(), pose: obj_from_cam });
+        self.note_observation(&observation);
         self.motion.observe(index, &obj_from_cam);
         self.remember(frame, index, obj_from_cam, observation, Vec::new());
         FrameResult {
@@ -373,6 +383,7 @@ impl Tracker {
         let observation = Arc::new(observation);
         let pose = estimate.pose;
         self.reference = Some(Reference { index, observation: observation.clone(), pose });
+        self.note_observation(&observation);
         self.motion.observe(index, &pose);
         let believed = status == Status::Tracked || (status == Status::Weak && share >= UNDISPUTED);
         let keyframe = self.config.memory.enabled
@@ -438,8 +449,10 @@ impl Tracker {
     fn segment(&mut self, frame: &RgbdFrame) -> Masked {
         if let Some(mask) = frame.mask.as_ref().filter(|m| m.size() == frame.color.size()) {
             self.given = Some((RgbdFrame { mask: None, ..frame.clone() }, mask.clone()));
+            self.provenance.given = Some(self.next_index - 1);
             return Masked::Given(mask.clone());
         }
+        self.provenance.given = None;
         if let Some((given, mask)) = self.given.take() {
             self.start_segmentation(&given, mask);
         }
@@ -483,9 +496,13 @@ impl Tracker {
             confidence: if coarse.is_some() { Self::ESTIMATED_POSE } else { Self::STALE_POSE },
         };
         let refined = self.segmenter.refine(frame, segmentation, &prior);
-        let cleaned = Observation::new(observation.index, frame, &refined.mask, &self.config);
-        self.mask = Some(refined.mask);
-        cleaned.unwrap_or(observation)
+        match Observation::new(observation.index, frame, &refined.mask, &self.config) {
+            Ok(cleaned) => {
+                self.mask = Some(refined.mask);
+                cleaned
+            }
+            Err(_) => observation,
+        }
     }
 }
 

@@ -7,7 +7,7 @@ use se3_lie::se3;
 #[derive(Debug, Default)]
 pub(super) struct Motion {
     /// Frame index and `obj_from_cam` of the last two tracked frames, newest last.
-    history: [Option<(usize, Isometry3<f64>)>; 2],
+    pub(super) history: [Option<(usize, Isometry3<f64>)>; 2],
 }
 
 impl Motion {

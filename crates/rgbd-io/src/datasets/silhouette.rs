@@ -44,7 +44,8 @@ fn fill(t: [[f64; 2]; 3], width: usize, covered: &mut [bool]) {
             }
         }
         if right >= 0.0 && left <= right {
-            let (from, to) = (left.ceil().max(0.0) as usize, (right.floor() as usize).saturating_add(1).min(width));
+            let (from, to) =
+                (left.ceil().max(0.0) as usize, (right.floor() as usize).saturating_add(1).min(width));
             if let Some(pixels) = covered.get_mut(y * width + from.min(to)..y * width + to) {
                 pixels.fill(true);
             }

@@ -1,8 +1,8 @@
 //! The checks on numbers already gathered.
 
 use super::{DepthRange, Finding, Inspection, Severity};
-use crate::Mask;
 use crate::layout::Layout;
+use crate::{Cadence, Mask, Shift};
 
 /// Numbers of files that don't match.
 pub(super) fn counts(layout: &Layout, masks_unused: bool, seen: &mut Inspection) {
@@ -28,6 +28,15 @@ pub(super) fn counts(layout: &Layout, masks_unused: bool, seen: &mut Inspection)
     if !masks_unused && layout.mask_files > layout.color_files {
         let message = format!("{} masks for {} colour images", layout.mask_files, layout.color_files);
         seen.findings.push(Finding::new(Severity::Info, message, "the surplus is ignored"));
+    }
+    let mut cadence = Cadence::default();
+    let gaps: Vec<_> =
+        layout.entries.iter().filter_map(|e| Some((&e.id, cadence.missing_before(&e.id)?))).collect();
+    if let Some((id, missing)) = gaps.first() {
+        let message = format!("{} gaps between frames; the first: {missing} missing before {id}", gaps.len());
+        let remedy = "record with fewer pixels, to a faster disk or without other programs; slow motion tolerates \
+                      gaps";
+        seen.findings.push(Finding::new(Severity::Warning, message, remedy));
     }
     if layout.entries.len() < 5 {
         let message = format!("only {} frames", layout.entries.len());
@@ -100,4 +109,19 @@ pub(super) fn depth_in_mask(range: DepthRange, missing: f64, near: f64, name: &s
         found.push(Finding::new(Severity::Warning, message, remedy));
     }
     found
+}
+
+/// Depth that fits colour only when shifted.
+pub(super) fn registration(shift: Option<Shift>) -> Option<Finding> {
+    let [dx, dy] = shift?.pixels;
+    let message = format!("depth/: depth fits colour better when shifted by ({dx}, {dy}) pixels");
+    let remedy = "export depth registered to colour (the camera's software calls it aligned depth)";
+    Some(Finding::new(Severity::Warning, message, remedy))
+}
+
+/// Frames in which the object is smeared.
+pub(super) fn blur(blurred: usize, sharp: usize) -> Option<Finding> {
+    let message = format!("the object is blurred in {blurred} of {} frames looked at", blurred + sharp);
+    let remedy = "move it more slowly, add light, or set a shorter exposure; check the focus";
+    (blurred > sharp).then(|| Finding::new(Severity::Warning, message, remedy))
 }

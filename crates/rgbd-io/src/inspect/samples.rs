@@ -4,7 +4,7 @@ use super::{DepthRange, Finding, Inspection, Severity, findings};
 use crate::custom::no_depth;
 use crate::depth_units::{Histogram, check_units, guess_units};
 use crate::layout::{self, Entry, Layout};
-use crate::{Error, Image, Mask, codec};
+use crate::{BLURRED, Error, Image, Mask, Registration, codec, sharpness};
 
 /// What the sampled frames hold.
 pub(super) struct Samples {
@@ -19,6 +19,10 @@ pub(super) struct Samples {
     errors: Vec<(Error, usize)>,
     empty_masks: usize,
     no_depth_frames: usize,
+    registration: Registration,
+    /// Frames with a mask that were sharp enough, or not.
+    sharp: usize,
+    blurred: usize,
 }
 
 impl Samples {
@@ -34,6 +38,9 @@ impl Samples {
             errors: Vec::new(),
             empty_masks: 0,
             no_depth_frames: 0,
+            registration: Registration::default(),
+            sharp: 0,
+            blurred: 0,
         };
         let n = layout.entries.len();
         let k = count.min(n);
@@ -46,10 +53,11 @@ impl Samples {
 
     fn add(&mut self, layout: &Layout, entry: &Entry, is_first: bool) {
         self.count += 1;
-        let size = match codec::read_color(&entry.color) {
-            Ok(color) => color.size(),
+        let color = match codec::read_color(&entry.color) {
+            Ok(color) => color,
             Err(e) => return self.note(e),
         };
+        let size = color.size();
         let expected = *self.size.get_or_insert(size);
         if size != expected {
             let ((w, h), (ew, eh)) = (size, expected);
@@ -64,9 +72,17 @@ impl Samples {
         // Frames without a depth file were counted from the listing.
         if entry.depth.is_some() {
             match layout::read_depth(&layout.root, entry, size) {
-                Ok(depth) => self.depth(&depth, mask.as_ref().filter(|_| is_first)),
+                Ok(depth) => {
+                    // Jumps count by their share of the depth: the unit doesn't matter.
+                    self.registration.add(&color, &depth.map(|raw| f32::from(*raw)));
+                    self.depth(&depth, mask.as_ref().filter(|_| is_first));
+                }
                 Err(e) => self.note(e),
             }
+        }
+        if let Some(sharpness) = mask.as_ref().and_then(|mask| sharpness(&color, mask)) {
+            let count = if sharpness < BLURRED { &mut self.blurred } else { &mut self.sharp };
+            *count += 1;
         }
         if is_first {
             self.first_mask = mask;
@@ -129,6 +145,8 @@ impl Samples {
             let remedy = "export their depth again, or leave these frames out";
             seen.findings.push(counted(self.no_depth_frames, "depth images without any depth", remedy));
         }
+        seen.findings.extend(findings::registration(self.registration.shift()));
+        seen.findings.extend(findings::blur(self.blurred, self.sharp));
         self.depth_into(seen);
     }
 

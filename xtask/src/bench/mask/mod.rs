@@ -47,8 +47,12 @@ pub(crate) struct MaskArgs {
 
 /// Follows every sequence's mask and prints a table.
 pub(super) fn run(args: &MaskArgs) -> anyhow::Result<ExitCode> {
-    let folders =
-        if args.dir.is_empty() { synth::folders(&args.names, &args.data)? } else { args.dir.clone() };
+    let folders = if args.dir.is_empty() {
+        let names = synth::prepare(&args.names, &args.data)?;
+        names.iter().map(|name| args.data.join(name)).collect()
+    } else {
+        args.dir.clone()
+    };
     let mut rows = Vec::new();
     for folder in &folders {
         let run = follow(folder, args).with_context(|| format!("measuring on {}", folder.display()))?;
