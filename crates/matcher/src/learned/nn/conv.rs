@@ -103,6 +103,9 @@ impl Conv {
             padded.checked_sub(self.kernel).map_or(0, |rest| rest / self.stride + 1)
         };
         let mut out = Map::zeros(self.outputs, shrink(map.width()), shrink(map.height()));
+        if out.width() == 0 || out.height() == 0 {
+            return out;
+        }
         let (stride, plane) = (out.stride(), out.plane());
         let phases = (self.stride == 2).then(|| phases(map, &out));
         let input = phases.as_ref().unwrap_or(map).data();
@@ -221,6 +224,19 @@ mod tests {
     use proptest::prelude::*;
     use rand::{RngExt, SeedableRng};
     use rand_pcg::Pcg64Mcg;
+
+    /// An image without keypoints: found by fuzzing, when the result had a pixel that the input had not.
+    #[test]
+    fn of_no_pixels_no_pixels_are_left() {
+        for (kernel, stride) in [(1, 1), (3, 1), (3, 2)] {
+            let shape = [64, 64, kernel, kernel];
+            let weight = vec![1.0; shape.iter().product()];
+            let conv = Conv::new(64, shape, &weight, &[1.0; 64], stride).unwrap();
+            for (width, height) in [(0, 1), (0, 0), (0, 5)] {
+                assert_eq!(conv.run(&Map::zeros(64, width, height), After::Linear).width(), 0);
+            }
+        }
+    }
 
     /// The definition, in 64 bits.
     fn naive(
