@@ -162,8 +162,9 @@ fn change(bytes: &mut Bytes<'_>, frame: &mut RgbdFrame) {
         _ => {
             let period = 1 + bytes.below(7);
             let (inside, outside) = (bytes.choice(&DEPTHS, 0.5), bytes.choice(&DEPTHS, 0.6));
-            let pattern =
-                |x: usize, y: usize| if (x / period + y / period) % 2 == 0 { inside } else { outside };
+            let pattern = |x: usize, y: usize| {
+                if (x / period + y / period).is_multiple_of(2) { inside } else { outside }
+            };
             frame.depth = Image::from_fn(w, h, pattern);
         }
     }

@@ -42,10 +42,6 @@ pub(crate) struct Unaries {
 
 /// Background that has been seen for longer than this (0..1) is certain to be background.
 pub(crate) const KNOWN: f32 = 0.7;
-/// Weighted colour log-likelihood ratio that only the object's own colours reach.
-const SURE_COLOR: f32 = 1.5;
-/// Cells within which a part cut off from the object is looked for.
-const BESIDE: f32 = 12.0;
 const LOG_ODDS_SCALE: f32 = 64.0;
 
 /// Weighs all cues.
@@ -74,10 +70,6 @@ pub(crate) fn unaries(cues: &Cues<'_>, options: &Options, focal: f32) -> Unaries
             // It may be a part of the object that has come into view: those are where nothing was known.
             layering /= 1.0 + color;
             place *= 0.4;
-        }
-        if near && color > SURE_COLOR && age < KNOWN && to_object.distance[i] < BESIDE {
-            // Nothing else around has this colour: it may be a part that an occluder cuts off from the rest.
-            place = place.max(-1.5);
         }
         let model =
             cues.surface.map_or(0.0, |s| testimony(s, grid.depth[i], i, cues.refined, color, options));

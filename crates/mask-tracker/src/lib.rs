@@ -34,7 +34,9 @@
 //! noticing: the warped last mask, the colours and depths that moved along with the object or stayed behind, colour
 //! models that forget slowly and never learn from a doubtful frame, and the reconstructed surface drawn at the
 //! predicted pose, which tells object (same depth) from occluder (in front) and from background (behind).
-//! The trait [`VideoSegmenter`] lets a network or a folder of masks ([`GivenMasks`]) stand in.
+//! A voxel grid in the object's frame remembers which places a camera has looked through: no part of a rigid object
+//! can show up there. The trait [`VideoSegmenter`] lets a network (through [`pipe`]) or given masks ([`GivenMasks`])
+//! stand in, and [`first_mask`] makes the first one from a box.
 
 mod appearance;
 mod distance;

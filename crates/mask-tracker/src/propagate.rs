@@ -8,6 +8,7 @@ use crate::energy::{Cues, KNOWN, Unaries, cut, edges, keep_connected, unaries};
 use crate::grid::{Bounds, Camera, Grid, Window};
 use crate::memory::{
     Memory, band, center, frame_colors, lift, mask_bounds, mask_cells, object_depth, still_hidden,
+    trim_outline,
 };
 use crate::redetect;
 use crate::stages::{Clock, Stage, StageTimes};
@@ -320,7 +321,8 @@ impl VideoSegmenter for Propagate {
         let margin = 12.0 + 0.4 * (region[2] - region[0]).max(region[3] - region[1]).min(400.0);
         let Some(window) = Window::around(region, margin, size, self.options.max_cells) else { return };
         let grid = Grid::new(frame, window);
-        let labels = mask_cells(mask, &window);
+        let mut labels = mask_cells(mask, &window);
+        trim_outline(&grid, &mut labels);
         let reference = object_depth(&grid, &labels);
         self.appearance = Appearance::start(frame_colors(&grid, &labels, &reference, |_| true));
         self.appearance.grade(&grid.color, &labels, |i| band(grid.depth[i], reference[i]), 1.0);

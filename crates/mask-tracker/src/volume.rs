@@ -14,6 +14,8 @@ const SIDE: usize = 64;
 /// Only every so many-th layer is carved in a frame, in turn.
 const TURNS: usize = 4;
 const MOST: u8 = 24;
+/// Preference of a point outside the cube, which is twice as large as the object looked: a rigid thing doesn't grow.
+const TOO_FAR: f32 = -4.0;
 
 #[derive(Clone, Copy, Default, Serialize, Deserialize)]
 struct Voxel {
@@ -38,13 +40,15 @@ impl Volume {
     /// A cube that holds an object of which the given points (object frame) were seen from `eye`; `None` without
     /// points.
     pub(crate) fn around(points: impl Iterator<Item = [f32; 3]>, eye: [f32; 3]) -> Option<Self> {
-        let (mut low, mut high) = ([f32::INFINITY; 3], [f32::NEG_INFINITY; 3]);
+        // A few points may be the wall's, through a mask that is a pixel off: they must not widen the cube.
+        let mut axes: [Vec<f32>; 3] = Default::default();
         for p in points {
-            for k in 0..3 {
-                low[k] = low[k].min(p[k]);
-                high[k] = high[k].max(p[k]);
-            }
+            axes.iter_mut().zip(p).for_each(|(axis, v)| axis.push(v));
         }
+        let outside = axes[0].len() * 3 / 100;
+        axes.iter_mut().for_each(|axis| axis.sort_by(f32::total_cmp));
+        let low = axes.each_ref().map(|axis| axis.get(outside).copied().unwrap_or(0.0));
+        let high = axes.each_ref().map(|axis| axis.iter().rev().nth(outside).copied().unwrap_or(0.0));
         let size = (0..3).map(|k| high[k] - low[k]).fold(0.0f32, f32::max);
         if !(size > 1e-3 && size.is_finite()) {
             return None;
@@ -53,7 +57,7 @@ impl Volume {
         let center: [f32; 3] = std::array::from_fn(|k| 0.5 * (low[k] + high[k]));
         let away: [f32; 3] = std::array::from_fn(|k| center[k] - eye[k]);
         let norm = away.iter().map(|v| v * v).sum::<f32>().sqrt().max(1e-6);
-        let half = 1.2 * size;
+        let half = 1.25 * size;
         let corner = std::array::from_fn(|k| center[k] + 0.3 * size * away[k] / norm - half);
         let voxels = vec![Voxel::default(); SIDE * SIDE * SIDE];
         Some(Self { corner, voxel: 2.0 * half / SIDE as f32, voxels, turn: 0 })
@@ -76,7 +80,8 @@ impl Volume {
         Some(index)
     }
 
-    /// What the voxels say of each cell's point, positive = object, about within +-3; 0 where nothing is known.
+    /// What the voxels say of each cell's point, positive = object, about within +-3; 0 where
+    /// nothing is known.
     pub(crate) fn testimony(&self, grid: &Grid, camera: &Camera, cam_from_obj: &Isometry3<f32>) -> Vec<f32> {
         let obj_from_cam = cam_from_obj.inverse();
         (0..grid.window.len())
@@ -87,7 +92,9 @@ impl Volume {
                 }
                 let (u, v) = grid.window.center(i);
                 let p = obj_from_cam * Point3::from(camera.unproject(u, v, z));
-                let Some(voxel) = self.index([p.x, p.y, p.z]).map(|k| self.voxels[k]) else { return 0.0 };
+                let Some(voxel) = self.index([p.x, p.y, p.z]).map(|k| self.voxels[k]) else {
+                    return TOO_FAR;
+                };
                 let empty = f32::from(voxel.free) - 2.0 * f32::from(voxel.object);
                 if empty > 1.0 {
                     return -(0.4 * empty).min(3.0);
