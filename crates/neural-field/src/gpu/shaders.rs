@@ -1,4 +1,5 @@
 //! Every kernel is valid WGSL within the capabilities that its variant may use, and every file is a kernel.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::print_stdout, reason = "tests")]
 
 use super::kernels::Kernel;
 use naga::valid::{Capabilities, ValidationFlags, Validator};
