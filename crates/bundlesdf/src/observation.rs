@@ -419,14 +419,17 @@ pub(crate) mod tests {
     fn points_of_the_crop_are_those_of_the_whole_image() {
         let (frame, mask) = flat_frame(160, 120);
         let o = Observation::new(0, &frame, &mask, &Config::default()).unwrap();
-        let full = frame.intrinsics.unproject(80.0, 60.0, 0.5);
-        let (x, y) = (80 - o.origin[0], 60 - o.origin[1]);
-        for i in 0..3 {
-            assert!((f64::from(o.points[(x, y)][i]) - full[i]).abs() < 1e-6);
+        assert_eq!(o.zoom, 2);
+        let in_crop = |u: f32, v: f32| {
+            let at = |whole: f32, origin: usize| (whole - origin as f32 + 0.5) * o.zoom as f32 - 0.5;
+            [at(u, o.origin[0]), at(v, o.origin[1])]
+        };
+        for u in [80.0, 80.5] {
+            let (lifted, normal) = o.lift(in_crop(u, 60.0)).unwrap();
+            let full = frame.intrinsics.unproject(f64::from(u), 60.0, 0.5);
+            assert!((0..3).all(|i| (f64::from(lifted[i]) - full[i]).abs() < 1e-6), "{lifted:?} {full:?}");
+            assert!(normal[2] < -0.999);
         }
-        let (lifted, normal) = o.lift([x as f32 + 0.5, y as f32]).unwrap();
-        assert!((f64::from(lifted[0]) - frame.intrinsics.unproject(80.5, 60.0, 0.5)[0]).abs() < 1e-6);
-        assert!(normal[2] < -0.999);
         let c = o.centre();
         assert!((c.z - 0.5).abs() < 1e-6 && c.x.abs() < 0.01 && c.y.abs() < 0.01);
     }

@@ -95,7 +95,9 @@ fn an_object_that_vanishes_is_lost_keeps_its_pose_and_is_found_again() {
     let (results, _) = run(&small(), Schedule::Lockstep, &frames);
     for gone in &results[8..12] {
         assert_eq!(gone.status, Status::Lost);
-        assert_eq!(gone.cam_from_obj, results[7].cam_from_obj);
+        // A round of the field may have carried the pose along meanwhile.
+        let moved = gone.cam_from_obj.inv_mul(&results[7].cam_from_obj);
+        assert!(moved.translation.vector.norm() < 1e-9 && moved.rotation.angle() < 1e-7, "{moved}");
     }
     assert!(results[12..].iter().all(|r| r.status != Status::Lost));
     let scores = score(&video, &results[..8], None);

@@ -174,14 +174,26 @@ impl Appearance {
         self.tabulate();
     }
 
-    fn tabulate(&mut self) {
-        for (table, background) in self.table.iter_mut().zip(&self.background) {
-            let known = self.object.filled() && background.filled();
-            for (k, ratio) in table.iter_mut().enumerate() {
-                let odds = (self.object.at_bin(k) + FLOOR) / (background.at_bin(k) + FLOOR);
-                *ratio = if known { odds.ln().clamp(-3.0, 3.0) } else { 0.0 };
-            }
+    /// The background that a band is compared with: all there is, while nothing was seen in it.
+    fn against(&self, band: Band) -> &Anchored {
+        let [near, far] = &self.background;
+        match band {
+            Band::Near if near.filled() => near,
+            _ if far.filled() => far,
+            _ => near,
         }
+    }
+
+    fn tabulate(&mut self) {
+        self.table = [Band::Near, Band::Far].map(|band| {
+            let background = self.against(band);
+            let known = self.object.filled() && background.filled();
+            let ratio = |k| {
+                let odds = (self.object.at_bin(k) + FLOOR) / (background.at_bin(k) + FLOOR);
+                if known { odds.ln().clamp(-3.0, 3.0) } else { 0.0 }
+            };
+            (0..BINS).map(ratio).collect()
+        });
     }
 
     /// Measures how well colour separates the two labels of a trusted frame, against each band's background.
@@ -211,7 +223,7 @@ impl Appearance {
 
     /// 0..1: how much colour decides against the background of a band.
     pub(crate) fn reliability(&self, band: Band) -> f32 {
-        ((self.background[band as usize].accuracy - 0.6) / 0.35).clamp(0.0, 1.0)
+        ((self.against(band).accuracy - 0.6) / 0.35).clamp(0.0, 1.0)
     }
 
     /// `ln p(colour | object) / p(colour | background in the band)`, within +-3; 0 when a model is missing.
@@ -221,12 +233,7 @@ impl Appearance {
 
     /// [`Appearance::log_ratio`] against background anywhere.
     pub(crate) fn log_ratio_anywhere(&self, c: Color) -> f32 {
-        let filled = |band: Band| self.background[band as usize].filled();
-        match (filled(Band::Near), filled(Band::Far)) {
-            (true, true) => self.log_ratio(c, Band::Near).min(self.log_ratio(c, Band::Far)),
-            (true, false) => self.log_ratio(c, Band::Near),
-            _ => self.log_ratio(c, Band::Far),
-        }
+        self.log_ratio(c, Band::Near).min(self.log_ratio(c, Band::Far))
     }
 }
 
@@ -244,7 +251,7 @@ mod tests {
         let blues = Histogram::from_colors(std::iter::repeat_n(blue, 50));
         let model = Appearance::start(FrameColors { object, background: [Histogram::empty(), blues] });
         assert!(model.log_ratio(red, Band::Far) > 2.0 && model.log_ratio(blue, Band::Far) < -2.0);
-        assert_eq!(model.log_ratio(blue, Band::Near), 0.0);
+        assert!(model.log_ratio(blue, Band::Near) < -2.0);
         assert!(model.log_ratio_anywhere(blue) < -2.0);
         assert_eq!(Appearance::empty().log_ratio_anywhere(red), 0.0);
     }

@@ -71,6 +71,22 @@ pub(crate) fn object_depth(grid: &Grid, labels: &[bool]) -> Vec<f32> {
     object.seed.iter().map(|&seed| grid.depth.get(seed as usize).copied().unwrap_or(0.0)).collect()
 }
 
+/// Takes cells off the outline that lie much farther than the object inside of it: masks are a pixel or two off, and
+/// one cell of the wall that counts as object would make the wall's depth plausible.
+pub(crate) fn trim_outline(grid: &Grid, labels: &mut [bool]) {
+    const OUTLINE: f32 = 2.5;
+    let (w, h) = (grid.window.w, grid.window.h);
+    let to_outside = nearest(w, h, |i| !labels[i]);
+    let inner = nearest(w, h, |i| labels[i] && to_outside.distance[i] > OUTLINE && grid.depth[i] > 0.0);
+    for i in 0..labels.len() {
+        let Some(&z) = grid.depth.get(inner.seed[i] as usize) else { continue };
+        let outline = to_outside.distance[i] <= OUTLINE && inner.distance[i] <= 2.0 * OUTLINE;
+        if labels[i] && outline && grid.depth[i] > z + NEAR {
+            labels[i] = false;
+        }
+    }
+}
+
 /// Colours of the object and of what surrounds it, from cells that `teaches` selects; those at the outline are mixed
 /// and teach neither. `reference` is the depth of the object next to each cell.
 pub(crate) fn frame_colors(

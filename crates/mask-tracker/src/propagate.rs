@@ -3,11 +3,12 @@
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use rgbd_io::{Image, Mask, RgbdFrame};
 
-use crate::appearance::Appearance;
+use crate::appearance::{Appearance, Band};
 use crate::energy::{Cues, KNOWN, Unaries, cut, edges, keep_connected, unaries};
 use crate::grid::{Bounds, Camera, Grid, Window};
 use crate::memory::{
     Memory, band, center, frame_colors, lift, mask_bounds, mask_cells, object_depth, still_hidden,
+    trim_outline,
 };
 use crate::redetect;
 use crate::stages::{Clock, Stage, StageTimes};
@@ -247,6 +248,9 @@ impl Propagate {
         let Some(work) = self.work.take() else { return };
         let Some(memory) = &mut self.memory else { return };
         let old_center = center(&memory.samples);
+        let reference = object_depth(&work.grid, &work.found.labels);
+        let is_far =
+            |i: usize| work.grid.depth[i] > 0.0 && band(work.grid.depth[i], reference[i]) == Band::Far;
         let mut samples = lift(&work.grid, &work.camera, &work.found.labels);
         for (s, i) in &mut samples {
             let before = if work.found.object.depth[*i] > 0.0 { work.found.object.trust[*i] } else { 0.3 };
@@ -257,7 +261,8 @@ impl Propagate {
             // Background that looks like the object may be a part of it that was missed: it must not hold on to
             // its label by its looks alone.
             let doubt = (0.5 + 0.4 * color).clamp(0.0, 1.0);
-            let held = work.found.held[*i].max(0.2) + if color < -0.3 { 0.1 } else { 0.0 };
+            let held = work.found.held[*i].max(if is_far(*i) { 1.0 } else { 0.2 })
+                + if color < -0.3 { 0.1 } else { 0.0 };
             s.trust = if s.object { (before + change).clamp(0.1, 1.0) } else { held.min(1.0 - doubt) };
         }
         let mut samples: Vec<Sample> = samples.into_iter().map(|(s, _)| s).collect();
@@ -290,11 +295,10 @@ impl Propagate {
             && (0.6..1.5).contains(&work.found.coverage);
         if trusted {
             // What looks like the object may be a part of it that was missed, and new things are uncertain: only
-            // what has long been background teaches how that looks.
+            // what has long been background, or is far from the object, teaches how that looks.
             let labels = &work.found.labels;
-            let known =
-                |i: usize| if labels[i] { work.found.evidence[i] > 0.0 } else { work.found.held[i] > KNOWN };
-            let reference = object_depth(&work.grid, labels);
+            let background = |i: usize| work.found.held[i] > KNOWN || is_far(i);
+            let known = |i: usize| if labels[i] { work.found.evidence[i] > 0.0 } else { background(i) };
             let colors = frame_colors(&work.grid, labels, &reference, known);
             let band = |i: usize| band(work.grid.depth[i], reference[i]);
             self.appearance.grade(&work.grid.color, labels, band, 0.1);
@@ -320,7 +324,8 @@ impl VideoSegmenter for Propagate {
         let margin = 12.0 + 0.4 * (region[2] - region[0]).max(region[3] - region[1]).min(400.0);
         let Some(window) = Window::around(region, margin, size, self.options.max_cells) else { return };
         let grid = Grid::new(frame, window);
-        let labels = mask_cells(mask, &window);
+        let mut labels = mask_cells(mask, &window);
+        trim_outline(&grid, &mut labels);
         let reference = object_depth(&grid, &labels);
         self.appearance = Appearance::start(frame_colors(&grid, &labels, &reference, |_| true));
         self.appearance.grade(&grid.color, &labels, |i| band(grid.depth[i], reference[i]), 1.0);

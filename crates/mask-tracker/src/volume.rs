@@ -15,7 +15,7 @@ const SIDE: usize = 64;
 const TURNS: usize = 4;
 const MOST: u8 = 24;
 /// Preference of a point outside the cube, which is twice as large as the object looked: a rigid thing doesn't grow.
-const TOO_FAR: f32 = -2.5;
+const TOO_FAR: f32 = -4.0;
 
 #[derive(Clone, Copy, Default, Serialize, Deserialize)]
 struct Voxel {
@@ -40,13 +40,15 @@ impl Volume {
     /// A cube that holds an object of which the given points (object frame) were seen from `eye`; `None` without
     /// points.
     pub(crate) fn around(points: impl Iterator<Item = [f32; 3]>, eye: [f32; 3]) -> Option<Self> {
-        let (mut low, mut high) = ([f32::INFINITY; 3], [f32::NEG_INFINITY; 3]);
+        // A few points may be the wall's, through a mask that is a pixel off: they must not widen the cube.
+        let mut axes: [Vec<f32>; 3] = Default::default();
         for p in points {
-            for k in 0..3 {
-                low[k] = low[k].min(p[k]);
-                high[k] = high[k].max(p[k]);
-            }
+            axes.iter_mut().zip(p).for_each(|(axis, v)| axis.push(v));
         }
+        let outside = axes[0].len() * 3 / 100;
+        axes.iter_mut().for_each(|axis| axis.sort_by(f32::total_cmp));
+        let low = axes.each_ref().map(|axis| axis.get(outside).copied().unwrap_or(0.0));
+        let high = axes.each_ref().map(|axis| axis.iter().rev().nth(outside).copied().unwrap_or(0.0));
         let size = (0..3).map(|k| high[k] - low[k]).fold(0.0f32, f32::max);
         if !(size > 1e-3 && size.is_finite()) {
             return None;
@@ -55,7 +57,7 @@ impl Volume {
         let center: [f32; 3] = std::array::from_fn(|k| 0.5 * (low[k] + high[k]));
         let away: [f32; 3] = std::array::from_fn(|k| center[k] - eye[k]);
         let norm = away.iter().map(|v| v * v).sum::<f32>().sqrt().max(1e-6);
-        let half = 1.2 * size;
+        let half = 1.25 * size;
         let corner = std::array::from_fn(|k| center[k] + 0.3 * size * away[k] / norm - half);
         let voxels = vec![Voxel::default(); SIDE * SIDE * SIDE];
         Some(Self { corner, voxel: 2.0 * half / SIDE as f32, voxels, turn: 0 })

@@ -38,7 +38,7 @@ impl WeightLayout {
     }
 
     /// From the CPU's flat vector to the device's.
-    pub(crate) fn to_device(&self, flat: &[f32]) -> Vec<f32> {
+    pub(crate) fn for_device(&self, flat: &[f32]) -> Vec<f32> {
         let mut out = vec![0.0; self.len as usize];
         for l in self.layers() {
             let (from, to) = (l.layer.weights().start..l.layer.bias().end, l.weights as usize);
@@ -48,7 +48,7 @@ impl WeightLayout {
     }
 
     /// And back.
-    pub(crate) fn from_device(&self, device: &[f32], flat: &mut [f32]) {
+    pub(crate) fn of_device(&self, device: &[f32], flat: &mut [f32]) {
         for l in self.layers() {
             let (to, from) = (l.layer.weights().start..l.layer.bias().end, l.weights as usize);
             let len = to.len();

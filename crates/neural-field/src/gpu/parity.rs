@@ -1,6 +1,7 @@
 //! The GPU engine against the CPU engine, on whatever adapter there is, and without one on wgpu's stub.
 //!
 //! Skipped with a message where there is no adapter; `BUNDLESDF_REQUIRE_GPU=1` makes that a failure.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::print_stdout, reason = "tests")]
 
 #[path = "../../tests/scene/mod.rs"]
 mod scene;
@@ -158,7 +159,7 @@ fn gpu_gradients(gpu: &GpuRound, step: usize) -> Gradients {
         }
     }
     let mut weights = vec![0.0; gpu.parameters.weights.len()];
-    gpu.layout.from_device(&sum, &mut weights);
+    gpu.layout.of_device(&sum, &mut weights);
     let table = gpu.gpu.read(&gpu.buffers.table_gradient, 2 * gpu.sizes.vertices as usize).unwrap();
     let mut rest = table.as_slice();
     let mut grid = Vec::new();
@@ -206,7 +207,8 @@ fn gradients_of_every_group_agree() {
         cpu.train(6, &Control::default()).unwrap();
         let table: Vec<f32> = cpu.engine.grid.tables.iter().flatten().copied().collect();
         gpu.gpu.write(&gpu.buffers.table, bytemuck::cast_slice(&table));
-        gpu.gpu.write(&gpu.buffers.weights, bytemuck::cast_slice(&gpu.layout.to_device(&cpu.engine.weights)));
+        gpu.gpu
+            .write(&gpu.buffers.weights, bytemuck::cast_slice(&gpu.layout.for_device(&cpu.engine.weights)));
         let theta: Vec<f32> =
             cpu.round.corrections.theta.iter().flat_map(|t| t.iter().map(|v| *v as f32)).collect();
         gpu.gpu.write(&gpu.buffers.theta, bytemuck::cast_slice(&theta));

@@ -73,7 +73,7 @@ impl GpuRound {
         let buffers = Buffers::new(gpu, &sizes, &layout, &upload)?;
         let table: Vec<f32> = parameters.grid.tables.iter().flatten().copied().collect();
         gpu.write(&buffers.table, bytemuck::cast_slice(&table));
-        gpu.write(&buffers.weights, bytemuck::cast_slice(&layout.to_device(&parameters.weights)));
+        gpu.write(&buffers.weights, bytemuck::cast_slice(&layout.for_device(&parameters.weights)));
         gpu.write(&buffers.initial_poses, bytemuck::cast_slice(&upload.poses));
         gpu.write(&buffers.frames, bytemuck::cast_slice(&upload.frames));
         gpu.write(&buffers.slots, bytemuck::cast_slice(&upload.slots));
@@ -170,7 +170,7 @@ impl GpuRound {
             rest = others;
         }
         let weights = self.gpu.read(&self.buffers.weights, self.layout.len as usize)?;
-        self.layout.from_device(&weights, &mut self.parameters.weights);
+        self.layout.of_device(&weights, &mut self.parameters.weights);
         let theta = self.gpu.read(&self.buffers.theta, 6 * self.round.frames.len())?;
         for (to, from) in self.round.corrections.theta.iter_mut().zip(theta.as_chunks::<6>().0) {
             *to = Vector6::from(from.map(f64::from));
