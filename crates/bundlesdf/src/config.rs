@@ -2,6 +2,7 @@
 //!
 //! A config file is TOML with the same structure; keys that are missing keep their default, unknown keys are refused.
 
+use posegraph::SolveOptions;
 use serde::{Deserialize, Serialize};
 
 /// Settings of the whole system.
@@ -172,6 +173,27 @@ pub struct GraphConfig {
     pub sdf_points: usize,
     /// Target pixels of the downscaled cloud for the dense term.
     pub dense_pixels: usize,
+}
+
+/// Beyond this swing two views share too little surface for a dense comparison (radians).
+pub(crate) const MAX_DENSE_SWING: f64 = 1.0;
+
+impl GraphConfig {
+    /// What the solver is told; without a field there is nothing that the SDF term could ask.
+    pub(crate) fn solve_options(&self, has_field: bool) -> SolveOptions {
+        SolveOptions {
+            max_iterations: self.iterations,
+            feature_weight: self.feature_weight,
+            dense_weight: self.dense_weight,
+            sdf_weight: if has_field { self.sdf_weight } else { 0.0 },
+            feature_huber: self.huber,
+            dense_huber: self.huber,
+            sdf_huber: self.huber,
+            // Nobody reads it, and it costs a linearisation.
+            covariance: false,
+            ..SolveOptions::default()
+        }
+    }
 }
 
 impl Default for GraphConfig {

@@ -2,15 +2,13 @@
 
 use nalgebra::Isometry3;
 use neural_field::TrainedField;
-use posegraph::{DenseEdge, FeatureEdge, Node, PoseGraph, SdfTerm, SolveOptions, solve};
+use posegraph::{DenseEdge, Node, PoseGraph, SdfTerm, solve};
 use se3_lie::distance::swing_angle;
 
-use crate::{field_model::FieldModel, field_worker::FieldRequest};
+use crate::{config::MAX_DENSE_SWING, field_model::FieldModel, field_worker::FieldRequest};
 
 /// Keyframes by swing angle that each one is compared with densely.
 const NEIGHBOURS: usize = 6;
-/// Beyond this swing two views share too little surface for a dense comparison (radians).
-const MAX_SWING: f64 = 1.0;
 
 /// `obj_from_cam` of all keyframes of the request, started at `poses`, the first one held; with a `field` each keyframe
 /// is also drawn to its surface. `None` if the graph can't be built or solved.
@@ -33,30 +31,12 @@ pub(crate) fn optimise(
     let position = |index: usize| frames.iter().position(|(i, _, _)| *i == index);
     for ((older, newer), edge) in edges {
         let (Some(i), Some(j)) = (position(*older), position(*newer)) else { continue };
-        let edge = FeatureEdge {
-            i,
-            j,
-            points_i: edge.older.clone(),
-            points_j: edge.newer.clone(),
-            weights: edge.weights.clone(),
-        };
-        graph.add_feature_edge(edge).ok()?;
+        graph.add_feature_edge(edge.feature_edge(i, j)).ok()?;
     }
     for (source, target) in dense_pairs(poses) {
         graph.add_dense_edge(DenseEdge { source, target }).ok()?;
     }
-    let options = SolveOptions {
-        max_iterations: config.iterations,
-        feature_weight: config.feature_weight,
-        dense_weight: config.dense_weight,
-        sdf_weight: if field.is_some() { config.sdf_weight } else { 0.0 },
-        feature_huber: config.huber,
-        dense_huber: config.huber,
-        sdf_huber: config.huber,
-        covariance: false,
-        ..SolveOptions::default()
-    };
-    Some(solve(&graph, &options).ok()?.poses)
+    Some(solve(&graph, &config.solve_options(field.is_some())).ok()?.poses)
 }
 
 /// Each keyframe with the nearest of those before it.
@@ -64,7 +44,7 @@ fn dense_pairs(poses: &[Isometry3<f64>]) -> Vec<(usize, usize)> {
     let mut pairs = Vec::new();
     for (i, pose) in poses.iter().enumerate() {
         let swing = |j: &usize| swing_angle(&pose.rotation, &poses[*j].rotation);
-        let mut near: Vec<usize> = (0..i).filter(|j| swing(j) < MAX_SWING).collect();
+        let mut near: Vec<usize> = (0..i).filter(|j| swing(j) < MAX_DENSE_SWING).collect();
         near.sort_by(|a, b| swing(a).total_cmp(&swing(b)));
         pairs.extend(near.into_iter().take(NEIGHBOURS).map(|j| (i, j)));
     }

@@ -42,6 +42,7 @@ mod link;
 pub mod observation;
 pub mod output;
 mod pool;
+mod raster;
 pub mod report;
 mod rigid;
 pub mod segmenter;
@@ -64,7 +65,7 @@ pub use pool::{Keyframe, MemoryPool};
 pub use report::{KeyframeReport, RoundReport, RunReport};
 pub use segmenter::SegmenterChoice;
 pub use tracker::{FieldSummary, FrameResult, Reconstruction, StageTimes, Status, Tracker};
-pub use video::{Observer, RunError, RunSoFar, VideoRun, continue_video, run_tracker, run_video};
+pub use video::{Observer, RunError, RunSoFar, VideoRun, continue_video, run_video};
 
 #[cfg(doctest)]
 #[doc = include_str!("../README.md")]

@@ -53,6 +53,7 @@ pub struct Observation {
     pub valid: usize,
     /// Evenly spread points with normals, camera frame: what visibility tests look at.
     pub samples: Vec<([f32; 3], [f32; 3])>,
+    max_corners: usize,
     corners: OnceLock<Vec<[f32; 2]>>,
     features: OnceLock<Features>,
 }
@@ -125,14 +126,18 @@ impl Observation {
             images,
             valid,
             samples,
+            // A memory frame must not have other corners than it had as a reference, whoever asks first.
+            max_corners: config.coarse.max_corners.max(config.coarse.max_corners_memory),
             corners: OnceLock::new(),
             features: OnceLock::new(),
         })
     }
 
-    /// Trackable corners inside the mask, strongest first, in crop pixels.
-    pub fn corners(&self, max_count: usize) -> &[[f32; 2]] {
+    /// Trackable corners inside the mask, strongest first, in crop pixels: the first `count` of at most
+    /// the larger of `coarse.max_corners` and `coarse.max_corners_memory`.
+    pub fn corners(&self, count: usize) -> &[[f32; 2]] {
         let corners = self.corners.get_or_init(|| {
+            let max_count = self.max_corners;
             // A small object's corners stand closer, so that it too has enough of them.
             let area = self.mask.pixels().iter().filter(|m| **m != 0).count() as f32;
             let min_distance = (area / (2 * max_count) as f32).sqrt().clamp(2.5, 6.0);
@@ -140,7 +145,7 @@ impl Observation {
                 CornerOptions { max_count, min_distance, quality: 0.005, ..CornerOptions::default() };
             detect_corners(&self.pyramid.levels()[0], &self.mask, &options)
         });
-        &corners[..corners.len().min(max_count)]
+        &corners[..corners.len().min(count)]
     }
 
     /// The roll-invariant descriptor features of this observation, computed by `detect` on first use.

@@ -261,6 +261,17 @@ mod tests {
     }
 
     #[test]
+    fn by_the_full_rotation_roll_is_a_new_view_and_the_closest_set_is_selected() {
+        let config =
+            MemoryConfig { rule: KeyframeRule::FullRotation, selected: 2, ..MemoryConfig::default() };
+        let poses: Vec<_> = [0.0, 30.0, 35.0, 90.0].map(|d| pose([0.0, 0.0, 1.0], d)).to_vec();
+        let pool = pool(&poses, &config);
+        assert!(pool.is_new_view(&pose([0.0, 0.0, 1.0], 60.0), &config));
+        assert!(!pool.is_new_view(&pose([0.0, 0.0, 1.0], 60.0), &MemoryConfig::default()));
+        assert_eq!(pool.select(&pose([0.0, 0.0, 1.0], 20.0), &config), vec![1, 2]);
+    }
+
+    #[test]
     fn a_pose_tracked_against_a_moved_keyframe_moves_with_it() {
         let config = MemoryConfig::default();
         let mut pool = pool(&[Isometry3::identity(), pose([0.0, 1.0, 0.0], 20.0)], &config);

@@ -152,20 +152,7 @@ pub fn run_video(
     stop: &AtomicBool,
     observer: &mut dyn Observer,
 ) -> Result<VideoRun, RunError> {
-    run_tracker(source, Tracker::new(config.clone(), schedule)?, stop, observer)
-}
-
-/// [`run_video`] with a tracker that was set up by the caller.
-///
-/// # Errors
-/// When the first frame can't be read, or when the observer fails.
-pub fn run_tracker(
-    source: Arc<dyn FrameSource>,
-    tracker: Tracker,
-    stop: &AtomicBool,
-    observer: &mut dyn Observer,
-) -> Result<VideoRun, RunError> {
-    continue_video(source, RunSoFar::new(tracker), stop, observer)
+    continue_video(source, RunSoFar::new(Tracker::new(config.clone(), schedule)?), stop, observer)
 }
 
 /// The same from the frame after those that `run` has taken. In lockstep the result is that of a run without a stop,

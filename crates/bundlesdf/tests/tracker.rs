@@ -2,7 +2,8 @@
 #![allow(clippy::unwrap_used, clippy::expect_used)]
 
 use bundlesdf::{
-    Config, FrameResult, Schedule, Status, Tracker,
+    Ablation, Config, FrameResult, Schedule, Status, Tracker,
+    config::Refiner,
     evaluate::{Scores, Truth, evaluate},
 };
 use rgbd_io::{Image, RgbdFrame};
@@ -56,6 +57,25 @@ fn every_schedule_and_mask_source_follows_the_true_poses_and_finds_the_surface()
         assert_eq!(scores.lost, 0, "{schedule:?} {masks:?}");
         assert!(scores.add > 88.0, "{schedule:?} {masks:?} {scores:?}");
         assert!(scores.cd_cm.unwrap() < 1.0, "{schedule:?} {masks:?} {scores:?}");
+    }
+}
+
+#[test]
+fn without_any_of_its_parts_the_tracker_still_follows_a_few_frames() {
+    let video = Sequence::tiny().truncated(10).with_masks(Masks::Every);
+    let frames = frames(&video);
+    for ablation in Ablation::ALL {
+        let mut config = small();
+        ablation.apply(&mut config);
+        let (results, reconstruction) = run(&config, Schedule::Lockstep, &frames);
+        let scores = score(&video, &results, None);
+        assert!(scores.lost == 0 && scores.add > 88.0, "{} {scores:?}", ablation.name());
+        let has_field = config.field.refiner == Refiner::Field;
+        assert_eq!(reconstruction.mesh.is_some(), has_field, "{}", ablation.name());
+        let remembered = reconstruction.keyframes.len();
+        assert_eq!(remembered == 1, ablation == Ablation::NoMemory, "{} {remembered}", ablation.name());
+        let has_rounds = reconstruction.field.rounds > 0;
+        assert_eq!(has_rounds, config.field.refiner != Refiner::None, "{}", ablation.name());
     }
 }
 

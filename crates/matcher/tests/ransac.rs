@@ -203,3 +203,30 @@ fn refinement_converges_from_nearby() {
     let broken = motion([f64::NAN, 0.0, 0.0], [0.0; 3]);
     assert_eq!(ransac::refine(&all, &broken, &RansacOptions::default()), None);
 }
+
+#[test]
+fn across_the_line_of_sight_a_smaller_distance_is_enough_to_be_an_outlier() {
+    // Depth noise of 3 mm along z; a third of the matches stands still while the object moves 4 mm to the side.
+    let truth = motion([0.004, 0.0, 0.0], [0.0; 3]);
+    let mut all = matches(240, 0.0, &Isometry3::identity(), 5);
+    let mut rng = Pcg64Mcg::seed_from_u64(6);
+    for (i, m) in all.iter_mut().enumerate() {
+        let still = i % 3 == 0;
+        m.sight = [0.0, 0.0, 1.0];
+        m.b = m.a;
+        m.b[0] += if still { 0.0 } else { 0.004 };
+        m.b[2] += 0.003 * (2.0 * rng.random::<f32>() - 1.0);
+        m.normal_b = m.normal_a;
+    }
+    let wide = RansacOptions { inlier_distance: 0.006, ..RansacOptions::default() };
+    let (far, _) = errors(&ransac::estimate(&all, &wide).unwrap(), &truth);
+    let narrow = RansacOptions { inlier_lateral: 0.0015, ..wide };
+    let model = ransac::estimate(&all, &narrow).unwrap();
+    let (near, _) = errors(&model, &truth);
+    assert!(near < 0.0006 && near < far / 2.0, "{near} {far}");
+    assert!(
+        model.inliers.iter().all(|i| i % 3 != 0) && model.inliers.len() > 140,
+        "{:?}",
+        model.inliers.len()
+    );
+}

@@ -4,10 +4,7 @@ use marching_cubes::TriMesh;
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
 use serde::Serialize;
 
-/// Directions whose farthest vertices stand for the mesh.
-const DIRECTIONS: usize = 600;
-/// Steps (degrees) of the search around a start.
-const STEPS_DEG: [f64; 9] = [16.0, 8.0, 4.0, 2.0, 1.0, 0.5, 0.2, 0.1, 0.05];
+use crate::draw::OrientedBox;
 
 /// The content of `canonical.json`.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
@@ -26,95 +23,35 @@ pub struct CanonicalFrame {
 /// camera's image.
 #[must_use]
 pub fn canonical_frame(mesh: &TriMesh) -> Option<CanonicalFrame> {
-    let points = extremes(mesh)?;
-    let starts = (0..27).map(|i| {
-        let angle = |k: u32| f64::from(i / 3u32.pow(k) % 3) * 30f64.to_radians();
-        UnitQuaternion::from_euler_angles(angle(0), angle(1), angle(2))
-    });
-    let best = starts.map(|start| smallest_box(&points, start)).min_by(|a, b| a.0.total_cmp(&b.0))?.1;
-    let rotation = upright(&best, &points);
-    let [low, high] = span(&points, &rotation);
-    let center = 0.5 * (low + high);
-    let pose = Isometry3::from_parts(Translation3::from(-center), rotation);
-    let m = pose.to_homogeneous();
-    Some(CanonicalFrame {
-        canonical_from_obj: std::array::from_fn(|r| std::array::from_fn(|c| m[(r, c)])),
-        extents_m: (high - low).into(),
-    })
-}
-
-/// The vertices farthest out, enough to measure boxes with.
-fn extremes(mesh: &TriMesh) -> Option<Vec<Vector3<f64>>> {
-    let vertices: Vec<_> = mesh.vertices.iter().map(|p| Vector3::from(p.map(f64::from))).collect();
-    let farthest = |i: usize| {
-        // A spiral of evenly spread directions.
-        let z = 1.0 - 2.0 * (i as f64 + 0.5) / DIRECTIONS as f64;
-        let (r, turn) = ((1.0 - z * z).sqrt(), i as f64 * 2.399_963_229_728_653);
-        let direction = Vector3::new(r * turn.cos(), r * turn.sin(), z);
-        (0..vertices.len())
-            .max_by(|&a, &b| vertices[a].dot(&direction).total_cmp(&vertices[b].dot(&direction)))
-    };
-    let mut chosen: Vec<usize> = (0..DIRECTIONS).filter_map(farthest).collect();
-    chosen.sort_unstable();
-    chosen.dedup();
-    (!chosen.is_empty()).then(|| chosen.into_iter().map(|i| vertices[i]).collect())
-}
-
-/// Lower and upper corner of the points' box in the rotated frame.
-fn span(points: &[Vector3<f64>], rotation: &UnitQuaternion<f64>) -> [Vector3<f64>; 2] {
-    let (mut low, mut high) = (Vector3::repeat(f64::INFINITY), Vector3::repeat(f64::NEG_INFINITY));
-    for p in points {
-        let q = rotation * p;
-        low = low.inf(&q);
-        high = high.sup(&q);
-    }
-    [low, high]
-}
-
-/// The smallest box near `start`: pattern search over small turns, ever finer.
-fn smallest_box(points: &[Vector3<f64>], start: UnitQuaternion<f64>) -> (f64, UnitQuaternion<f64>) {
-    let volume = |rotation: &UnitQuaternion<f64>| {
-        let [low, high] = span(points, rotation);
-        (high - low).product()
-    };
-    let (mut least, mut best) = (volume(&start), start);
-    for step in STEPS_DEG {
-        let mut improved = true;
-        while improved {
-            improved = false;
-            for axis in [Vector3::x_axis(), Vector3::y_axis(), Vector3::z_axis()] {
-                for sign in [1.0, -1.0] {
-                    let turned = UnitQuaternion::from_axis_angle(&axis, sign * f64::to_radians(step)) * best;
-                    let v = volume(&turned);
-                    if v < least * (1.0 - 1e-9) {
-                        (least, best, improved) = (v, turned, true);
-                    }
-                }
-            }
-        }
-    }
-    (least, best)
-}
-
-/// The box's rotation with its axes renamed and turned so that z is up.
-fn upright(rotation: &UnitQuaternion<f64>, points: &[Vector3<f64>]) -> UnitQuaternion<f64> {
-    let [low, high] = span(points, rotation);
-    let extents = high - low;
-    let mut order = [0, 1, 2];
-    order.sort_unstable_by(|&a, &b| extents[b].total_cmp(&extents[a]));
-    let [long, middle, short] = order;
-    let is_flat = extents[long] * extents[short] < extents[middle] * extents[middle];
-    let (up, across) = if is_flat { (short, long) } else { (long, middle) };
-    let axis = |k: usize| -> Vector3<f64> { rotation.inverse() * Vector3::ith(k, 1.0) };
+    let around = OrientedBox::around(&mesh.vertices)?;
+    let [across, other, up] = roles(&around.size);
+    let axis = |k: usize| around.obj_from_box.rotation * Vector3::ith(k, 1.0);
     // The object frame has the axes of the first camera: x right, y down, z forward.
-    let signed = |a: Vector3<f64>, wanted: Vector3<f64>, otherwise: Vector3<f64>| {
-        let along = if a.dot(&wanted).abs() > 0.1 { a.dot(&wanted) } else { a.dot(&otherwise) };
-        if along < 0.0 { -a } else { a }
-    };
     let z = signed(axis(up), -Vector3::y(), -Vector3::z());
     let x = signed(axis(across), Vector3::x(), -Vector3::z());
     let rows = Matrix3::from_rows(&[x.transpose(), z.cross(&x).transpose(), z.transpose()]);
-    UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(rows))
+    let rotation = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(rows));
+    let pose = Isometry3::from_parts(Translation3::from(-(rotation * around.centre().coords)), rotation);
+    let m = pose.to_homogeneous();
+    Some(CanonicalFrame {
+        canonical_from_obj: std::array::from_fn(|r| std::array::from_fn(|c| m[(r, c)])),
+        extents_m: [across, other, up].map(|k| around.size[k]),
+    })
+}
+
+/// Which edges of the box become x, y and z.
+fn roles(size: &Vector3<f64>) -> [usize; 3] {
+    let mut order = [0, 1, 2];
+    order.sort_unstable_by(|&a, &b| size[b].total_cmp(&size[a]));
+    let [long, middle, short] = order;
+    let is_flat = size[long] * size[short] < size[middle] * size[middle];
+    if is_flat { [long, middle, short] } else { [middle, short, long] }
+}
+
+/// `a` or its opposite, along `wanted`, or along `otherwise` where that doesn't tell.
+fn signed(a: Vector3<f64>, wanted: Vector3<f64>, otherwise: Vector3<f64>) -> Vector3<f64> {
+    let along = if a.dot(&wanted).abs() > 0.1 { a.dot(&wanted) } else { a.dot(&otherwise) };
+    if along < 0.0 { -a } else { a }
 }
 
 #[cfg(test)]

@@ -12,8 +12,8 @@ pub struct OrientedBox {
 }
 
 impl OrientedBox {
-    /// The box of (nearly) least volume around points in metres: local search over rotations from the axes of the
-    /// object frame and from the principal axes. `None` without finite points.
+    /// The box of (nearly) least volume around points in metres: local search over rotations from the
+    /// principal axes and from a grid of rotations. `None` without finite points.
     #[must_use]
     pub fn around(points: &[[f32; 3]]) -> Option<Self> {
         let extremes = extremes(points);
@@ -23,9 +23,12 @@ impl OrientedBox {
         if axes.determinant() < 0.0 {
             axes.column_mut(2).neg_mut();
         }
-        let starts = [Rotation3::identity(), Rotation3::from_matrix_unchecked(axes)];
-        let (box_from_obj, _) = starts
-            .into_iter()
+        let grid = (0..27).map(|i| {
+            let angle = |k: u32| f64::from(i / 3u32.pow(k) % 3) * 30_f64.to_radians();
+            Rotation3::from_euler_angles(angle(0), angle(1), angle(2))
+        });
+        let (box_from_obj, _) = std::iter::once(Rotation3::from_matrix_unchecked(axes))
+            .chain(grid)
             .map(|start| shrink(&extremes, start.into()))
             .min_by(|a, b| a.1.total_cmp(&b.1))?;
         let (low, high) = extent(&extremes, &box_from_obj)?;
@@ -97,7 +100,7 @@ fn shrink(points: &[Vector3<f64>], start: UnitQuaternion<f64>) -> (UnitQuaternio
     };
     let (mut best, mut least) = (start, volume(&start));
     let mut step = 20_f64.to_radians();
-    while step > 0.2_f64.to_radians() {
+    while step > 0.05_f64.to_radians() {
         let turned = (0..6).map(|i| {
             let axis = Vector3::ith_axis(i % 3);
             UnitQuaternion::from_axis_angle(&axis, if i < 3 { step } else { -step }) * best

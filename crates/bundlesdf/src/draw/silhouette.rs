@@ -4,6 +4,8 @@ use marching_cubes::TriMesh;
 use nalgebra::Isometry3;
 use rgbd_io::{Intrinsics, Mask};
 
+use crate::raster::cover;
+
 /// 255 wherever the mesh projects; triangles that reach behind the camera are left out.
 pub(super) fn silhouette(
     mesh: &TriMesh,
@@ -30,31 +32,13 @@ pub(super) fn silhouette(
 /// a pixel still covers something.
 fn fill(mask: &mut Mask, [a, b, c]: [[f64; 2]; 3]) {
     let (width, height) = mask.size();
-    let inside = |v: f64, size: usize| v.clamp(0.0, size as f64) as usize;
-    let low = |i: usize| a[i].min(b[i]).min(c[i]);
-    let high = |i: usize| a[i].max(b[i]).max(c[i]);
-    let area = cross(a, b, c);
-    let row_width = width;
-    let columns = inside(low(0).ceil(), width)..inside(high(0).floor() + 1.0, width);
-    for y in inside(low(1).ceil(), height)..inside(high(1).floor() + 1.0, height) {
-        for x in columns.clone() {
-            let p = [x as f64, y as f64];
-            let signs = [cross(a, b, p), cross(b, c, p), cross(c, a, p)];
-            if signs.iter().all(|s| s * area >= 0.0) {
-                mask.pixels_mut()[y * row_width + x] = 255;
-            }
-        }
-    }
+    cover([a, b, c], width, height, |x, y, _| mask.pixels_mut()[y * width + x] = 255);
     for p in [a, b, c] {
         let (x, y) = (p[0].round(), p[1].round());
         if x >= 0.0 && y >= 0.0 && (x as usize) < width && (y as usize) < height {
-            mask.pixels_mut()[y as usize * row_width + x as usize] = 255;
+            mask.pixels_mut()[y as usize * width + x as usize] = 255;
         }
     }
-}
-
-fn cross(a: [f64; 2], b: [f64; 2], p: [f64; 2]) -> f64 {
-    (b[0] - a[0]) * (p[1] - a[1]) - (b[1] - a[1]) * (p[0] - a[0])
 }
 
 /// How much of each pixel belongs to a soft line of about two pixels along the border of the mask, 0 to 255.

@@ -16,7 +16,7 @@ const JPEG_QUALITY: u8 = 92;
 /// upright in glTF's y-up world: canonical z, or the first camera's "up", points up.
 ///
 /// # Errors
-/// When the texture can't be encoded; the text says why.
+/// When there are no triangles, an index leads nowhere, or the texture can't be encoded; the text says why.
 pub fn glb(asset: &Asset) -> Result<Vec<u8>, String> {
     let mut file = Buffers::default();
     let mut attributes = serde_json::Map::new();
@@ -29,6 +29,9 @@ pub fn glb(asset: &Asset) -> Result<Vec<u8>, String> {
         Some(t) => (&t.positions, &t.normals, &t.triangles),
         None => (&asset.mesh.vertices, &asset.mesh.normals, &asset.mesh.triangles),
     };
+    if triangles.is_empty() || triangles.iter().flatten().any(|i| *i as usize >= positions.len()) {
+        return Err("needs triangles between its vertices".into());
+    }
     attributes.insert("POSITION".into(), file.vectors(positions, true));
     attributes.insert("NORMAL".into(), file.vectors(&units(normals), false));
     let mut root = json!({
@@ -161,4 +164,41 @@ fn container(root: &Value, binary: &[u8]) -> Result<Vec<u8>, String> {
     out.extend_from_slice(binary);
     out.resize(total, 0);
     Ok(out)
+}
+
+#[cfg(test)]
+mod tests {
+    use marching_cubes::TriMesh;
+
+    use super::*;
+
+    fn triangle() -> TriMesh {
+        TriMesh {
+            vertices: vec![[0.0; 3], [1.0, 0.0, 0.0], [0.0, 1.0, 0.5]],
+            triangles: vec![[0, 1, 2]],
+            colors: vec![[255, 0, 128]; 3],
+            ..TriMesh::default()
+        }
+    }
+
+    #[test]
+    fn the_chunks_are_as_long_as_they_say() {
+        let file = glb(&Asset::plain(triangle())).unwrap();
+        let number = |at: usize| u32::from_le_bytes(file[at..at + 4].try_into().unwrap()) as usize;
+        assert_eq!((&file[..4], number(4), number(8)), (&b"glTF"[..], 2, file.len()));
+        let text = number(12);
+        assert_eq!(text % 4, 0);
+        let document: Value = serde_json::from_slice(&file[20..20 + text]).unwrap();
+        assert_eq!(document["accessors"][0]["max"], json!([1.0, 1.0, 0.5]));
+        // Position, normal and colour of three vertices, and three indices.
+        assert_eq!(number(20 + text), 3 * 36 + 12);
+        assert_eq!(document["buffers"][0]["byteLength"], 3 * 36 + 12);
+        assert_eq!(file.len(), 28 + text + 3 * 36 + 12);
+    }
+
+    #[test]
+    fn what_cannot_be_shown_is_an_error() {
+        assert!(glb(&Asset::plain(TriMesh::default())).is_err());
+        assert!(glb(&Asset::plain(TriMesh { vertices: vec![[0.0; 3]], ..triangle() })).is_err());
+    }
 }

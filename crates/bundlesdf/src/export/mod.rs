@@ -138,6 +138,17 @@ pub struct Asset {
     pub canonical: Option<CanonicalFrame>,
 }
 
+impl Asset {
+    /// A mesh in the object frame as it is.
+    #[must_use]
+    pub fn plain(mut mesh: TriMesh) -> Self {
+        if !mesh.has_normals() {
+            mesh.compute_normals();
+        }
+        Self { mesh, observations: Observations::default(), textured: None, canonical: None }
+    }
+}
+
 /// The content of `export.json`.
 #[derive(Clone, Debug, Serialize)]
 pub struct ExportReport {

@@ -6,13 +6,11 @@ use base64::{Engine, engine::general_purpose::STANDARD};
 use nalgebra::{Isometry3, Vector3};
 use rgbd_io::Error;
 
-use super::{
-    glb::vertex_colored_glb,
-    overlays::{Overlays, draw_overlays},
-};
+use super::overlays::{Overlays, draw_overlays};
 use crate::{
     KeyframeReport, RunReport,
     draw::{Overlay, direction},
+    export::{Asset, glb},
     output::OutputFolder,
 };
 
@@ -25,20 +23,13 @@ pub(super) struct Results {
     pub(super) overlay: Overlay,
     pub(super) overlays: Overlays,
     /// The mesh as base64 of a GLB file.
-    pub(super) model: Option<Model>,
+    pub(super) model: Option<String>,
     /// `eval.json`, where the truth is known.
     pub(super) scores: Option<serde_json::Value>,
     /// Names of the files and folders in the results folder.
     pub(super) files: Vec<String>,
     /// What could not be read for the page.
     pub(super) problems: Vec<String>,
-}
-
-/// A GLB file for the viewer.
-pub(super) struct Model {
-    pub(super) base64: String,
-    /// Whether y is up, as glTF wants it; else it is in the object frame, with the first camera's axes.
-    pub(super) y_up: bool,
 }
 
 impl Results {
@@ -111,10 +102,8 @@ fn pose_of(keyframe: &KeyframeReport) -> Option<Isometry3<f64>> {
 }
 
 /// The exported GLB, or one made from the mesh for a run that wrote none.
-fn model(folder: &OutputFolder, overlay: &Overlay) -> Option<Model> {
-    if let Ok(bytes) = fs::read(folder.path().join("mesh.glb")) {
-        return Some(Model { base64: STANDARD.encode(bytes), y_up: true });
-    }
-    let bytes = vertex_colored_glb(overlay.mesh()?)?;
-    Some(Model { base64: STANDARD.encode(bytes), y_up: false })
+fn model(folder: &OutputFolder, overlay: &Overlay) -> Option<String> {
+    let exported = fs::read(folder.path().join("mesh.glb")).ok();
+    let bytes = exported.or_else(|| glb(&Asset::plain(overlay.mesh()?.clone())).ok())?;
+    Some(STANDARD.encode(bytes))
 }

@@ -1,7 +1,6 @@
 //! `report.html`: one file, without any request to the network, that shows what a run did.
 
 mod gather;
-mod glb;
 mod losses;
 mod overlays;
 mod page;

@@ -56,8 +56,8 @@ pub(super) fn render(results: &Results) -> String {
                 }
                 script { (PreEscaped(SCRIPT)) }
                 @if let Some(model) = &results.model {
-                    script type="model/gltf-binary" id="model" data-up=[model.y_up.then_some("y")] {
-                        (PreEscaped(&model.base64))
+                    script type="model/gltf-binary" id="model" data-up="y" {
+                        (PreEscaped(model))
                     }
                     script { (PreEscaped(VIEWER)) }
                 }

@@ -46,7 +46,7 @@ pub(super) fn unwrap(mesh: &TriMesh, options: &TextureOptions) -> Result<Layout,
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::texture::raster::cover;
+    use crate::raster::cover;
 
     #[test]
     fn charts_keep_apart_and_no_texel_has_two_faces() {

@@ -9,7 +9,6 @@ mod atlas;
 mod color;
 mod fill;
 mod paint;
-mod raster;
 mod render;
 mod sample;
 mod select;

@@ -4,11 +4,12 @@ use marching_cubes::TriMesh;
 use rayon::prelude::*;
 use rgbd_io::Image;
 
+use crate::raster::cover;
+
 use super::{
     atlas::Layout,
     color::{scaled, to_bytes},
     fill,
-    raster::cover,
     sample::Sighting,
     view::{Prepared, bilinear},
 };

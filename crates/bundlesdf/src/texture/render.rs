@@ -3,7 +3,8 @@
 use nalgebra::{Isometry3, Point3};
 use rgbd_io::{Image, Intrinsics};
 
-use super::{TexturedMesh, raster::cover};
+use super::TexturedMesh;
+use crate::raster::cover;
 
 /// An image of a textured mesh, without any shading.
 #[derive(Clone, Debug, PartialEq)]

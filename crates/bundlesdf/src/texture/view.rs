@@ -5,8 +5,9 @@ use nalgebra::{Isometry3, Point3};
 use rayon::prelude::*;
 use rgbd_io::{Image, Intrinsics};
 
-use super::{View, raster::cover};
+use super::View;
 use crate::depth::depth_sigma;
+use crate::raster::cover;
 
 /// Depth steps larger than this (metres) are outlines of the object against itself.
 const STEP: f32 = 0.012;

@@ -299,3 +299,75 @@ pub(super) fn within(gates: Gates, reference: &Isometry3<f64>, pose: &Isometry3<
     let moved = (pose.inverse().translation.vector - reference.inverse().translation.vector).norm();
     moved <= gates.translation && rotation_angle(&pose.rotation, &reference.rotation) <= gates.rotation
 }
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::{Point3, UnitQuaternion, Vector3};
+
+    use super::*;
+
+    fn turned(deg: f64) -> Isometry3<f64> {
+        let middle = Isometry3::translation(0.0, 0.0, -0.5);
+        Isometry3::from_parts(
+            Vector3::zeros().into(),
+            UnitQuaternion::from_axis_angle(&Vector3::y_axis(), deg.to_radians()),
+        ) * middle
+    }
+
+    /// Matches of `count` points on a can's front between a keyframe and the new frame, both given by `obj_from_cam`.
+    fn matches(
+        keyframe: &Isometry3<f64>,
+        new: &Isometry3<f64>,
+        count: usize,
+        phase: f64,
+    ) -> Vec<Correspondence> {
+        let point = |i: usize| {
+            let (angle, height) =
+                (0.9 * (1.7 * i as f64 + phase).sin(), 0.05 * (2.3 * i as f64 + phase).cos());
+            Point3::new(0.04 * angle.sin(), height, -0.04 * angle.cos())
+        };
+        let seen =
+            |pose: &Isometry3<f64>, p: &Point3<f64>| pose.inverse_transform_point(p).cast::<f32>().into();
+        (0..count)
+            .map(|i| Correspondence {
+                a: seen(keyframe, &point(i)),
+                normal_a: [0.0; 3],
+                b: seen(new, &point(i)),
+                normal_b: [0.0; 3],
+                weight: 1.0,
+            })
+            .collect()
+    }
+
+    #[test]
+    fn highlights_that_every_keyframe_saw_elsewhere_are_outvoted() {
+        let config = CoarseConfig::default();
+        let search = Search {
+            config: &config,
+            gates: Gates::CORRECTION,
+            min_inliers: config.min_inliers,
+            focal: 600.0,
+            swing: Search::MEMORY_SWING,
+            seed: 1,
+        };
+        let new = turned(20.0);
+        let keyframes = [2.0, 5.0, 8.0, 11.0].map(turned);
+        let seen: Vec<Vec<Correspondence>> = keyframes
+            .iter()
+            .enumerate()
+            .map(|(i, keyframe)| {
+                let phase = i as f64;
+                // A highlight stays in the image: to each keyframe it looks as if nothing had turned.
+                let highlight = matches(keyframe, keyframe, 14, phase + 0.5);
+                matches(keyframe, &new, 10, phase).into_iter().chain(highlight).collect()
+            })
+            .collect();
+        let groups: Vec<_> = keyframes.iter().zip(&seen).map(|(k, m)| (k, m.as_slice())).collect();
+        let (pose, agreeing) = joint_motion(&groups, &turned(19.0), &search).unwrap();
+        assert!(pose.rotation.angle_to(&new.rotation).to_degrees() < 0.2, "{pose}");
+        assert!(agreeing.iter().all(|a| a.len() >= 10));
+        // The keyframe next to it alone believes its highlight, which has the majority.
+        let alone = joint_motion(&groups[3..], &turned(19.0), &search).unwrap().0;
+        assert!(alone.rotation.angle_to(&new.rotation).to_degrees() > 1.0, "{alone}");
+    }
+}

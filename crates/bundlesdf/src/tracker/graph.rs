@@ -2,12 +2,12 @@
 
 use nalgebra::Isometry3;
 use neural_field::TrainedField;
-use posegraph::{DenseEdge, FeatureEdge, Node, PoseGraph, SdfTerm, SolveOptions, solve};
+use posegraph::{DenseEdge, FeatureEdge, Node, PoseGraph, SdfTerm, solve};
 use se3_lie::distance::swing_angle;
 
 use super::correspond::Correspondence;
 use crate::{
-    config::GraphConfig,
+    config::{GraphConfig, MAX_DENSE_SWING},
     field_model::FieldModel,
     observation::Observation,
     pool::{MemoryEdge, MemoryPool},
@@ -48,7 +48,8 @@ impl MemoryEdge {
         edge
     }
 
-    fn feature_edge(&self, i: usize, j: usize) -> FeatureEdge {
+    /// As an edge between two nodes, `i` the older.
+    pub(crate) fn feature_edge(&self, i: usize, j: usize) -> FeatureEdge {
         FeatureEdge {
             i,
             j,
@@ -83,7 +84,7 @@ impl GraphProblem<'_> {
             let points = self.observation.sdf_points(self.config.sdf_points);
             graph.add_sdf_term(SdfTerm { node: new, points, model }).ok()?;
         }
-        let solution = solve(&graph, &self.options()).ok()?;
+        let solution = solve(&graph, &self.config.solve_options(self.field.is_some())).ok()?;
         let pose = *solution.poses.get(new)?;
         let moved = self.selected.iter().enumerate().filter(|(node, _)| !fixed[*node]);
         let moved =
@@ -92,7 +93,6 @@ impl GraphProblem<'_> {
             initial = solution.cost_initial,
             last = solution.cost_final,
             iterations = solution.iterations,
-            information = ?solution.information_eigenvalues.map(|e| e.map(|v| v.max(0.0).sqrt() as u32)),
             "pose graph"
         );
         Some(GraphResult { pose, moved })
@@ -115,14 +115,13 @@ impl GraphProblem<'_> {
     }
 
     fn add_memory_edges(&self, graph: &mut PoseGraph<'_>, new: usize, fixed: &[bool]) -> Option<()> {
-        const MAX_SWING: f64 = 1.0;
         let keyframes = self.pool.keyframes();
         for (node, position) in self.selected.iter().enumerate() {
             let keyframe = keyframes.get(*position)?;
             if let Some((_, edge)) = self.edges.iter().find(|(p, _)| p == position) {
                 graph.add_feature_edge(edge.feature_edge(node, new)).ok()?;
             }
-            if swing_angle(&keyframe.obj_from_cam.rotation, &self.guess.rotation) < MAX_SWING {
+            if swing_angle(&keyframe.obj_from_cam.rotation, &self.guess.rotation) < MAX_DENSE_SWING {
                 let source_is_new = self.observation.valid <= keyframe.observation.valid;
                 let (source, target) = if source_is_new { (new, node) } else { (node, new) };
                 graph.add_dense_edge(DenseEdge { source, target }).ok()?;
@@ -135,26 +134,13 @@ impl GraphProblem<'_> {
                 if let Some(edge) = self.pool.edge(older.index, keyframe.index) {
                     graph.add_feature_edge(edge.feature_edge(other, node)).ok()?;
                 }
-                if swing_angle(&keyframe.obj_from_cam.rotation, &older.obj_from_cam.rotation) < MAX_SWING {
+                if swing_angle(&keyframe.obj_from_cam.rotation, &older.obj_from_cam.rotation)
+                    < MAX_DENSE_SWING
+                {
                     graph.add_dense_edge(DenseEdge { source: node, target: other }).ok()?;
                 }
             }
         }
         Some(())
-    }
-
-    fn options(&self) -> SolveOptions {
-        let c = self.config;
-        SolveOptions {
-            max_iterations: c.iterations,
-            feature_weight: c.feature_weight,
-            dense_weight: c.dense_weight,
-            sdf_weight: if self.field.is_some() { c.sdf_weight } else { 0.0 },
-            feature_huber: c.huber,
-            dense_huber: c.huber,
-            sdf_huber: c.huber,
-            covariance: true,
-            ..SolveOptions::default()
-        }
     }
 }

@@ -245,8 +245,6 @@ fn observe_again(
         let Some(observation) = observation.filter(|o| o.valid == saved.valid) else {
             return Err(CheckpointError::Changed { id: frame.id });
         };
-        // Corners are picked for the largest number ever asked for, which is that of a reference.
-        observation.corners(config.coarse.max_corners);
         observations.insert(saved.index, Arc::new(observation));
     }
     Ok(observations)

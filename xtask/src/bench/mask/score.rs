@@ -1,65 +1,21 @@
 //! How good a mask is: region similarity J and boundary measure F (Perazzi et al., CVPR 2016).
 
+use eval_metrics::{BOUNDARY_TOLERANCE, MaskRef, boundary_f, region_similarity};
 use rgbd_io::Mask;
 
-/// Boundaries this share of the image's diagonal apart still match.
-const TOLERANCE: f64 = 0.008;
-
-/// Intersection over union; 1 when both are empty.
+/// Region similarity J; masks of different sizes have nothing in common.
 pub(super) fn region(mask: &Mask, truth: &Mask) -> f64 {
-    let (mut both, mut either) = (0u32, 0u32);
-    for (&a, &b) in mask.pixels().iter().zip(truth.pixels()) {
-        both += u32::from(a != 0 && b != 0);
-        either += u32::from(a != 0 || b != 0);
-    }
-    if either == 0 { 1.0 } else { f64::from(both) / f64::from(either) }
+    pair(mask, truth).and_then(|(m, t)| region_similarity(m, t)).unwrap_or(0.0)
 }
 
-/// Harmonic mean of the shares of the mask's outline near the true one and of the true one near the mask's.
+/// Boundary measure F at the usual tolerance.
 pub(super) fn boundary(mask: &Mask, truth: &Mask) -> f64 {
-    let (w, h) = truth.size();
-    let reach = (TOLERANCE * (w as f64).hypot(h as f64)).ceil() as isize;
-    let outlines = [outline(mask), outline(truth)];
-    let [found, wanted] = &outlines;
-    match (found.is_empty(), wanted.is_empty()) {
-        (true, true) => return 1.0,
-        (false, false) => {}
-        _ => return 0.0,
-    }
-    let near = outlines.each_ref().map(|o| dilate(o, (w, h), reach));
-    let share = |outline: &[(usize, usize)], near: &[bool]| {
-        outline.iter().filter(|(x, y)| near[y * w + x]).count() as f64 / outline.len() as f64
-    };
-    let (precision, recall) = (share(found, &near[1]), share(wanted, &near[0]));
-    if precision + recall == 0.0 { 0.0 } else { 2.0 * precision * recall / (precision + recall) }
+    pair(mask, truth).and_then(|(m, t)| boundary_f(m, t, BOUNDARY_TOLERANCE)).unwrap_or(0.0)
 }
 
-/// Pixels whose label differs from that to the right, below or diagonally below.
-fn outline(mask: &Mask) -> Vec<(usize, usize)> {
-    let (w, h) = mask.size();
-    let mut found = Vec::new();
-    for y in 0..h {
-        for x in 0..w {
-            let here = mask[(x, y)] != 0;
-            let (r, b) = ((x + 1).min(w - 1), (y + 1).min(h - 1));
-            if [(r, y), (x, b), (r, b)].iter().any(|&p| (mask[p] != 0) != here) {
-                found.push((x, y));
-            }
-        }
-    }
-    found
-}
-
-fn dilate(outline: &[(usize, usize)], (w, h): (usize, usize), reach: isize) -> Vec<bool> {
-    let mut near = vec![false; w * h];
-    for &(x, y) in outline {
-        for dy in -reach..=reach {
-            let Some(row) = y.checked_add_signed(dy).filter(|row| *row < h) else { continue };
-            let half = ((reach * reach - dy * dy) as f64).sqrt() as usize;
-            near[row * w + x.saturating_sub(half)..=row * w + (x + half).min(w - 1)].fill(true);
-        }
-    }
-    near
+fn pair<'a>(mask: &'a Mask, truth: &'a Mask) -> Option<(MaskRef<'a>, MaskRef<'a>)> {
+    let by_ref = |m: &'a Mask| MaskRef::new(m.pixels(), m.width());
+    Some((by_ref(mask)?, by_ref(truth)?))
 }
 
 /// How often the object came back after it was gone, and how often it was found within five frames.

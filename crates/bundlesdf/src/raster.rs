@@ -5,7 +5,7 @@ const SEAM: f64 = 1e-9;
 
 /// Calls `visit(x, y, weights)` for every pixel centre (at integers) of a `width` x `height` image inside the
 /// triangle; `weights` are barycentric, affine in the image.
-pub(super) fn cover(
+pub(crate) fn cover(
     corners: [[f64; 2]; 3],
     width: usize,
     height: usize,
