@@ -1,6 +1,8 @@
 //! Benchmarks of single parts.
 
 mod mask;
+mod posegraph;
+mod tracker;
 
 use clap::Subcommand;
 use std::process::ExitCode;
@@ -10,11 +12,17 @@ use std::process::ExitCode;
 pub(crate) enum Part {
     /// The built-in segmenter: region J, boundary F and time per frame, with the true poses in place of a tracker.
     Mask(mask::MaskArgs),
+    /// Public pose graphs to their optimum: cost, steps and time, beside GTSAM's.
+    Posegraph(posegraph::PosegraphArgs),
+    /// The tracker: frames per second and milliseconds by stage, alone and beside the field's training.
+    Tracker(tracker::TrackerArgs),
 }
 
 /// Measures one part.
 pub(crate) fn run(part: &Part) -> anyhow::Result<ExitCode> {
     match part {
         Part::Mask(args) => mask::run(args),
+        Part::Posegraph(args) => posegraph::run(args),
+        Part::Tracker(args) => tracker::run(args),
     }
 }

@@ -79,7 +79,7 @@ pub(crate) fn guided_tracks(
 
 /// Where `corner` of `from` should appear in `to`, and the 2x2 warp (row-major) of its neighbourhood under the plane
 /// through `point` with `normal`.
-fn predict(
+pub(super) fn predict(
     from: &Observation,
     to: &Observation,
     to_from: &Isometry3<f64>,
