@@ -81,7 +81,7 @@ pub(crate) fn guided_tracks(
 ///
 /// Shading and highlights change a patch by some gray levels as the object turns. Strong texture hardly moves by that;
 /// on a plain surface the track follows the light instead of the object.
-fn confidence(track: &Track) -> f32 {
+pub(super) fn confidence(track: &Track) -> f32 {
     /// Change of appearance that gain and bias don't explain (gray levels).
     const APPEARANCE: f32 = 3.0;
     /// Scatter of good tracks (pixels).

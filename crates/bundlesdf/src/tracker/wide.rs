@@ -11,7 +11,7 @@ use matcher::{
 use nalgebra::Isometry3;
 use rayon::prelude::*;
 
-use super::correspond::{Correspondence, predict};
+use super::correspond::{Correspondence, confidence, predict};
 use crate::{config::ConfigError, observation::Observation};
 
 /// Crops of the new frame are turned in steps of this: the networks tolerate more than half of it.
@@ -102,10 +102,9 @@ impl WideMatcher {
         let lift = |((point, normal_a), m, track): (_, Match, Option<matcher::Track>)| {
             let near = |p: &[f32; 2]| (p[0] - m.b[0]).hypot(p[1] - m.b[1]) <= MAX_REFINEMENT;
             let track = track.filter(|t| near(&t.position) && is_on_mask(b, t.position));
-            let (position, weight) = match track {
-                Some(t) => (t.position, t.ncc.clamp(0.0, 1.0)),
-                None => (m.b, UNREFINED_WEIGHT * m.confidence),
-            };
+            let unrefined = UNREFINED_WEIGHT * m.confidence;
+            let (position, weight) =
+                track.map_or((m.b, unrefined), |t| (t.position, confidence(&t).max(unrefined)));
             let (q, normal_b) = b.lift(position)?;
             Some(Correspondence { a: point, normal_a, b: q, normal_b, weight })
         };
