@@ -1,6 +1,7 @@
 //! Benchmarks of single parts.
 
 mod mask;
+mod texture;
 
 use clap::Subcommand;
 use std::process::ExitCode;
@@ -10,11 +11,14 @@ use std::process::ExitCode;
 pub(crate) enum Part {
     /// The built-in segmenter: region J, boundary F and time per frame, with the true poses in place of a tracker.
     Mask(mask::MaskArgs),
+    /// The texture: how far its colours are from the true ones in frames that it wasn't made from.
+    Texture(texture::TextureArgs),
 }
 
 /// Measures one part.
 pub(crate) fn run(part: &Part) -> anyhow::Result<ExitCode> {
     match part {
         Part::Mask(args) => mask::run(args),
+        Part::Texture(args) => texture::run(args),
     }
 }

@@ -8,6 +8,7 @@ mod align;
 mod atlas;
 mod color;
 mod fill;
+mod light;
 mod paint;
 mod render;
 mod sample;
@@ -16,6 +17,7 @@ mod view;
 
 use marching_cubes::TriMesh;
 use nalgebra::Isometry3;
+use rayon::prelude::*;
 use rgbd_io::{Image, Intrinsics, Mask};
 
 pub use render::Rendering;
@@ -44,11 +46,13 @@ pub struct TextureOptions {
     pub padding: usize,
     /// Correct the views' poses, by a few millimetres at most, so that their images agree on the surface.
     pub align: bool,
+    /// Take the light out: colours as in even light, not as the camera saw them.
+    pub even_light: bool,
 }
 
 impl Default for TextureOptions {
     fn default() -> Self {
-        Self { size: 2048, padding: 3, align: true }
+        Self { size: 2048, padding: 3, align: true, even_light: true }
     }
 }
 
@@ -109,6 +113,9 @@ pub struct TextureStats {
     pub gains: Vec<[f32; 3]>,
     /// How far each view's pose was corrected (millimetres, at the object's middle).
     pub shifts_mm: Vec<f64>,
+    /// Brightness of the light on the darkest tenth of what was seen, next to the brightest tenth, both of which the
+    /// texture shows in the same light; `None` when the light was left in.
+    pub dimmest: Option<f64>,
 }
 
 /// Paints `mesh` (object frame, metres) with what `views` saw of it.
@@ -149,6 +156,10 @@ pub fn bake(mesh: &TriMesh, views: &[View], options: &TextureOptions) -> Result<
         prepared = view::prepare_corrected(&mesh, views, &corrections);
         shifts_mm = corrections.iter().map(|c| shift_mm(&mesh, c)).collect();
     }
+    let light = if options.even_light { light::estimate(&mesh, &prepared) } else { None };
+    if let Some(light) = &light {
+        prepared.par_iter_mut().for_each(|view| view.relight(&mesh, light));
+    }
     let mut sightings = sample::sightings(&mesh, &prepared);
     let gains = color::gains(&sightings, views.len());
     color::drop_outliers(&mut sightings, &gains);
@@ -180,6 +191,7 @@ pub fn bake(mesh: &TriMesh, views: &[View], options: &TextureOptions) -> Result<
             faces_per_view,
             gains,
             shifts_mm,
+            dimmest: light.map(|l| l.dimmest),
         },
     })
 }
