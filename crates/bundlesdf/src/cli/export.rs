@@ -3,12 +3,12 @@
 use std::{path::PathBuf, process::ExitCode};
 
 use bundlesdf::{
-    OutputFolder,
+    OutputFolder, RunReport,
     export::{ExportOptions, ExportReport, Format, export},
 };
 use clap::Args;
 
-use super::run::print;
+use super::{log::Log, run::print};
 
 #[derive(Args, Debug)]
 pub(super) struct ExportArgs {
@@ -17,6 +17,9 @@ pub(super) struct ExportArgs {
     /// Texels per side of the texture: 1024, 2048 or 4096; none for vertex colours alone.
     #[arg(long, default_value = "2048", value_name = "TEXELS", value_parser = texture)]
     texture: Texture,
+    /// Leave the light of the video in the colours, in place of showing all sides in the same light.
+    #[arg(long)]
+    keep_light: bool,
     /// Simplify the mesh to at most N faces.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(4..))]
     faces: Option<u32>,
@@ -59,6 +62,7 @@ fn format(text: &str) -> Result<Format, String> {
 pub(super) fn run(args: &ExportArgs) -> anyhow::Result<ExitCode> {
     let options = ExportOptions {
         texture: args.texture.0,
+        even_light: !args.keep_light,
         faces: args.faces.map(|n| n as usize),
         canonical: args.canonical,
         close: args.close,
@@ -70,6 +74,33 @@ pub(super) fn run(args: &ExportArgs) -> anyhow::Result<ExitCode> {
     let report = export(&folder, &options)?;
     print(&summary(&report, &folder));
     Ok(ExitCode::SUCCESS)
+}
+
+/// Texels per side of the texture at the end of a run: enough to look at, and a few seconds' work.
+const TEXTURE_OF_RUN: usize = 1024;
+
+/// The textured mesh at the end of a run, unless it was cut short or has no mesh. All results are there without it: a
+/// failure is a warning.
+pub(super) fn at_the_end(run: &RunReport, folder: &OutputFolder, log: Log) -> Option<ExportReport> {
+    if run.interrupted || run.mesh.faces == 0 {
+        return None;
+    }
+    let options = ExportOptions {
+        texture: Some(TEXTURE_OF_RUN),
+        formats: vec![Format::Glb, Format::Obj],
+        ..ExportOptions::default()
+    };
+    match export(folder, &options) {
+        Ok(report) => {
+            log.assets(&report, folder);
+            Some(report)
+        }
+        Err(error) => {
+            let again = folder.path().display();
+            log.warning(&format!("no textured mesh: {error}; `bundlesdf export {again}` tries again"));
+            None
+        }
+    }
 }
 
 /// The closing table.

@@ -61,7 +61,7 @@ impl Light {
     }
 
     fn log(&self, normal: Vector3<f64>) -> f64 {
-        self.coefficients.iter().zip(terms(normal)).map(|(c, t)| c * t).sum()
+        dot(&terms(normal), self.coefficients.iter())
     }
 }
 
@@ -84,6 +84,10 @@ fn terms(n: Vector3<f64>) -> [f64; TERMS] {
         x * y * y,
         x * x * z,
     ]
+}
+
+fn dot<'a>(row: &[f64; TERMS], coefficients: impl Iterator<Item = &'a f64>) -> f64 {
+    row.iter().zip(coefficients).map(|(t, c)| t * c).sum()
 }
 
 /// A vertex in one view.
@@ -152,9 +156,7 @@ fn step_of(looks: &[Vec<Look>], views: usize, before: &DVector<f64>) -> Option<D
         let left: Vec<f64> = list
             .iter()
             .zip(&rows)
-            .map(|(l, row)| {
-                l.value - before[l.view] - row.iter().zip(before.rows(views, TERMS).iter()).map(|(a, b)| a * b).sum::<f64>()
-            })
+            .map(|(l, row)| l.value - before[l.view] - dot(row, before.rows(views, TERMS).iter()))
             .collect();
         let all: f64 = list.iter().map(|l| l.weight).sum();
         let color = list.iter().zip(&left).map(|(l, e)| l.weight * e).sum::<f64>() / all;
@@ -229,4 +231,71 @@ fn quantile(sorted: &[(f64, f64)], share: f64) -> f64 {
         }
     }
     sorted.last().map_or(0.0, |(value, _)| *value)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nalgebra::UnitQuaternion;
+
+    /// Patches of paint on a ball that is seen in `turns`, lit from above the camera.
+    fn looks_at_a_ball(turns: &[UnitQuaternion<f64>], lamp: Vector3<f64>) -> Vec<Vec<Look>> {
+        let golden = |i: f64| {
+            let (y, turn) = (1.0 - (i + 0.5) / 300.0, i * 2.399_963);
+            let r = (1.0 - y * y).sqrt();
+            Vector3::new(r * turn.cos(), y, r * turn.sin())
+        };
+        let look = |view: usize, normal: Vector3<f64>, paint: f64| {
+            let normal = turns[view] * normal;
+            let light = 0.4 + 0.6 * normal.dot(&lamp).max(0.0);
+            let exposure = 0.1 * (view as f64).sin();
+            Look { view, normal, value: paint + exposure + light.ln(), weight: normal.z * normal.z }
+        };
+        (0..600)
+            .map(|i| {
+                let (normal, paint) = (golden(f64::from(i)), 4.0 + 0.5 * (f64::from(i) * 0.7).sin());
+                let all = (0..turns.len()).map(|v| look(v, normal, paint));
+                all.filter(|l| l.normal.z < -0.2).collect::<Vec<_>>()
+            })
+            .filter(|l| l.len() > 1)
+            .collect()
+    }
+
+    #[test]
+    fn the_light_on_a_tumbling_ball_is_found() {
+        let turns: Vec<_> = (0..16)
+            .map(|i| {
+                let a = f64::from(i) * 0.4;
+                UnitQuaternion::from_euler_angles(0.5 * (2.3 * a).sin(), a, 0.4 * (1.7 * a).cos())
+            })
+            .collect();
+        let lamp = Vector3::new(-0.4, -0.7, -0.6).normalize();
+        let looks = looks_at_a_ball(&turns, lamp);
+        let mut unknowns = DVector::zeros(turns.len() + TERMS);
+        for _ in 0..ROUNDS {
+            unknowns = step_of(&looks, turns.len(), &unknowns).unwrap();
+        }
+        let coefficients = std::array::from_fn(|k| unknowns[turns.len() + k]);
+        let light = Light { coefficients, full: 0.0, dimmest: 1.0 };
+        // The light itself, but for its strength, where the camera sees it.
+        let gaps: Vec<f64> = looks
+            .iter()
+            .flatten()
+            .map(|l| light.log(l.normal) - (0.4 + 0.6 * l.normal.dot(&lamp).max(0.0)).ln())
+            .collect();
+        let mean = gaps.iter().sum::<f64>() / gaps.len() as f64;
+        let spread = (gaps.iter().map(|g| (g - mean).powi(2)).sum::<f64>() / gaps.len() as f64).sqrt();
+        assert!(spread < 0.05, "{spread}");
+    }
+
+    #[test]
+    fn even_light_stays_even() {
+        let turns: Vec<_> =
+            (0..8).map(|i| UnitQuaternion::from_euler_angles(0.3, 0.5 * f64::from(i), 0.0)).collect();
+        let mut looks = looks_at_a_ball(&turns, Vector3::z());
+        looks.iter_mut().flatten().for_each(|l| l.value -= (0.4 + 0.6 * l.normal.z.max(0.0)).ln());
+        let unknowns = step_of(&looks, turns.len(), &DVector::zeros(turns.len() + TERMS)).unwrap();
+        let largest = unknowns.rows(turns.len(), TERMS).amax();
+        assert!(largest < 0.1, "{unknowns}");
+    }
 }

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use bundlesdf::{OutputFolder, export, texture::View};
 use marching_cubes::TriMesh;
-use nalgebra::Isometry3;
+use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
 use rgbd_io::Image;
 use rgbd_synth::Sequence;
 
@@ -45,10 +45,15 @@ impl Input {
         let folder = OutputFolder::open(results)?;
         let (mesh, views) = export::load(&folder)?;
         let mesh = export::clean(&mesh, &views, &export::ExportOptions::default())?;
-        let used = folder.read_keyframes()?.iter().map(|k| k.index).collect();
-        let first = folder.read_report()?.frames.first().map(|f| f.id.clone()).unwrap_or_default();
-        let cam_from_obj = folder.read_pose(&first)?;
-        Ok(Self { mesh, views, used, true_from_obj: video.cam_from_obj(0).inverse() * cam_from_obj })
+        let keyframes = folder.read_keyframes()?;
+        let used: Vec<usize> = keyframes.iter().map(|k| k.index).collect();
+        anyhow::ensure!(views.len() == used.len(), "the run has more keyframes than a texture takes");
+        let poses = views
+            .iter()
+            .zip(&used)
+            .map(|(view, &i)| video.cam_from_obj(i).inverse() * view.obj_from_cam.inverse());
+        let true_from_obj = mean(&poses.collect::<Vec<_>>(), &mesh);
+        Ok(Self { mesh, views, used, true_from_obj })
     }
 
     /// `count` frames far from those that were used.
@@ -58,6 +63,19 @@ impl Input {
         free = free.into_iter().skip(step / 2).step_by(step).collect();
         free
     }
+}
+
+/// The mean of motions that differ little, as they move the mesh: the object frame of a run is its own, so that only
+/// what differs between its poses is wrong.
+fn mean(motions: &[Isometry3<f64>], mesh: &TriMesh) -> Isometry3<f64> {
+    let Some(first) = motions.first() else { return Isometry3::identity() };
+    let count = motions.len() as f64;
+    let sum = mesh.vertices.iter().fold(Vector3::zeros(), |s, v| s + Vector3::from(v.map(f64::from)));
+    let middle = Point3::from(sum / mesh.vertices.len().max(1) as f64);
+    let turn = motions.iter().map(|m| (m.rotation * first.rotation.inverse()).scaled_axis());
+    let rotation = UnitQuaternion::new(turn.sum::<Vector3<f64>>() / count) * first.rotation;
+    let place = motions.iter().map(|m| (m * middle).coords).sum::<Vector3<f64>>() / count;
+    Isometry3::from_parts(Translation3::from(place - rotation * middle.coords), rotation)
 }
 
 /// Two images of one height side by side.

@@ -65,7 +65,9 @@ pub(super) fn run(args: &TextureArgs) -> anyhow::Result<ExitCode> {
         names.extend(["depth-noise", "partial-occlusion", "large-near", "in-hand-turn"].map(String::from));
     }
     let mut rows = Vec::new();
-    println!("sequence             views  faces  colours dB (factor)  as seen dB  covered  observed  black  seconds");
+    println!(
+        "sequence             views  faces  colours dB (factor)  as seen dB  covered  observed  black  seconds"
+    );
     for name in &names {
         let row = measure(name, args).with_context(|| format!("measuring on {name}"))?;
         println!(

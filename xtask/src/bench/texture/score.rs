@@ -59,8 +59,11 @@ pub(super) fn psnr(
     let (mut pairs, mut all) = (Vec::new(), 0usize);
     let truth = target(video, wanted);
     for seen in truth.iter().flat_map(|truth| frames.iter().map(|&i| truth.render(i))) {
-        let drawn =
-            textured.render(&video.intrinsics(), seen.frame.color.size(), &(seen.cam_from_obj * true_from_obj));
+        let drawn = textured.render(
+            &video.intrinsics(),
+            seen.frame.color.size(),
+            &(seen.cam_from_obj * true_from_obj),
+        );
         for at in inner(&seen) {
             all += 1;
             if drawn.depth[at] > 0.0 {
@@ -79,12 +82,7 @@ pub(super) fn psnr(
         let squares: f64 = pairs.iter().map(|(a, b)| (factor * a - b).powi(2)).sum();
         10.0 * (255.0f64.powi(2) * pairs.len() as f64 / squares).log10()
     };
-    Psnr {
-        db: db(factor),
-        factor,
-        db_unscaled: db(1.0),
-        covered: pairs.len() as f64 / (3 * all) as f64,
-    }
+    Psnr { db: db(factor), factor, db_unscaled: db(1.0), covered: pairs.len() as f64 / (3 * all) as f64 }
 }
 
 /// Pixels of the object whose neighbours are its pixels too.
