@@ -17,9 +17,6 @@ pub(super) struct ExportArgs {
     /// Texels per side of the texture: 1024, 2048 or 4096; none for vertex colours alone.
     #[arg(long, default_value = "2048", value_name = "TEXELS", value_parser = texture)]
     texture: Texture,
-    /// Leave the light of the video in the colours, in place of showing all sides in the same light.
-    #[arg(long)]
-    keep_light: bool,
     /// Simplify the mesh to at most N faces.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(4..))]
     faces: Option<u32>,
@@ -62,7 +59,6 @@ fn format(text: &str) -> Result<Format, String> {
 pub(super) fn run(args: &ExportArgs) -> anyhow::Result<ExitCode> {
     let options = ExportOptions {
         texture: args.texture.0,
-        even_light: !args.keep_light,
         faces: args.faces.map(|n| n as usize),
         canonical: args.canonical,
         close: args.close,

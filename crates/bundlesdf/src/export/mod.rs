@@ -68,8 +68,6 @@ impl Format {
 pub struct ExportOptions {
     /// Texels per side of the texture; `None` for vertex colours alone.
     pub texture: Option<usize>,
-    /// Colours as in even light, for programs that bring their own; else as the camera saw them.
-    pub even_light: bool,
     /// Most faces; `None` leaves them all.
     pub faces: Option<usize>,
     /// In the canonical frame in place of the object frame.
@@ -89,7 +87,6 @@ impl Default for ExportOptions {
     fn default() -> Self {
         Self {
             texture: Some(2048),
-            even_light: true,
             faces: None,
             canonical: false,
             close: false,
@@ -251,10 +248,7 @@ fn build_timed(
     let mut seconds = ExportSeconds { mesh: start.elapsed().as_secs_f64(), ..ExportSeconds::default() };
     let start = Instant::now();
     let mut textured = match options.texture {
-        Some(size) => {
-            let even_light = options.even_light;
-            Some(bake(&mesh, views, &TextureOptions { size, even_light, ..TextureOptions::default() })?)
-        }
+        Some(size) => Some(bake(&mesh, views, &TextureOptions { size, ..TextureOptions::default() })?),
         None => None,
     };
     if let Some(textured) = &textured {

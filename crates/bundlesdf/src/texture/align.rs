@@ -63,7 +63,6 @@ pub(super) fn corrections(mesh: &TriMesh, views: &[Prepared]) -> Vec<Isometry3<f
                     fit.step(&seen[v], gains[v], &corrections[v])
                 })
                 .collect();
-            anchor(&mut corrections, center);
         }
     }
     for correction in &mut corrections {
@@ -76,19 +75,6 @@ pub(super) fn corrections(mesh: &TriMesh, views: &[Prepared]) -> Vec<Isometry3<f
         }
     }
     corrections
-}
-
-/// Takes out what all corrections have in common: it moves the colours over the surface and makes no two images agree
-/// any better.
-fn anchor(corrections: &mut [Isometry3<f64>], center: Vector3<f64>) {
-    let count = corrections.len().max(1) as f64;
-    let middle = Point3::from(center);
-    let shift = corrections.iter().map(|c| *c * middle - middle).sum::<Vector3<f64>>() / count;
-    // Of the order of a degree: the mean of rotation vectors is the mean rotation.
-    let turn = corrections.iter().map(|c| c.rotation.scaled_axis()).sum::<Vector3<f64>>() / count;
-    let origin = Translation3::from(center);
-    let common = origin * Isometry3::new(shift, turn) * origin.inverse();
-    corrections.iter_mut().for_each(|c| *c = common.inverse() * *c);
 }
 
 /// Points spread evenly over the surface, with normals.
@@ -256,28 +242,6 @@ mod tests {
             points.iter().filter(|(p, _)| p.z == 0.0).map(|(p, _)| p.coords).sum::<Vector3<f64>>()
                 / flat as f64;
         assert!((middle - Vector3::new(0.1, 0.1 / 3.0, 0.0)).norm() < 1e-3, "{middle}");
-    }
-
-    #[test]
-    fn anchored_corrections_have_nothing_in_common() {
-        let center = Vector3::new(0.1, -0.2, 0.6);
-        let mut corrections: Vec<_> = (0..5)
-            .map(|i| {
-                let a = f64::from(i);
-                let turn = Vector3::new(0.004, 0.002 * a, -0.003);
-                let around =
-                    Translation3::from(center) * Isometry3::rotation(turn) * Translation3::from(-center);
-                Isometry3::translation(0.001, -0.0004 * a, 0.002) * around
-            })
-            .collect();
-        anchor(&mut corrections, center);
-        let shift: Vector3<f64> =
-            corrections.iter().map(|c| *c * Point3::from(center) - Point3::from(center)).sum();
-        let turn: Vector3<f64> = corrections.iter().map(|c| c.rotation.scaled_axis()).sum();
-        assert!(shift.norm() < 1e-4 && turn.norm() < 1e-4, "{shift} {turn}");
-        // Differences stay.
-        let between = corrections[0].inverse() * corrections[4];
-        assert!((between.rotation.angle() - 0.008).abs() < 1e-4, "{}", between.rotation.angle());
     }
 
     #[test]

@@ -1,14 +1,13 @@
 //! A texture for a mesh from the frames that saw it.
 //!
-//! The mesh is unwrapped into an atlas. The light is taken out of the views, as far as they tell it from paint. Every
-//! place takes its detail from the views that show it best, and its broad colour from all views that agree, so that no
-//! seam is left where the best view changes. What no view saw is filled from its surroundings.
+//! The mesh is unwrapped into an atlas; every face takes its detail from the view that shows it best, and its broad
+//! colour from all views that agree, so that exposure and shading change smoothly over the surface and no seam is
+//! left where the best view changes. What no view saw is filled from its surroundings.
 
 mod align;
 mod atlas;
 mod color;
 mod fill;
-mod light;
 mod paint;
 mod render;
 mod sample;
@@ -17,7 +16,6 @@ mod view;
 
 use marching_cubes::TriMesh;
 use nalgebra::Isometry3;
-use rayon::prelude::*;
 use rgbd_io::{Image, Intrinsics, Mask};
 
 pub use render::Rendering;
@@ -46,13 +44,11 @@ pub struct TextureOptions {
     pub padding: usize,
     /// Correct the views' poses, by a few millimetres at most, so that their images agree on the surface.
     pub align: bool,
-    /// Take the light out: colours as in even light, not as the camera saw them.
-    pub even_light: bool,
 }
 
 impl Default for TextureOptions {
     fn default() -> Self {
-        Self { size: 2048, padding: 3, align: true, even_light: true }
+        Self { size: 2048, padding: 3, align: true }
     }
 }
 
@@ -107,24 +103,21 @@ pub struct TextureStats {
     pub utilisation: f64,
     /// Share of the surface's texels whose colour comes from a view.
     pub observed: f64,
-    /// Faces whose detail comes from each view more than from any other.
+    /// Faces whose detail comes from each view.
     pub faces_per_view: Vec<usize>,
     /// Factors on red, green and blue that each view's colours were multiplied by.
     pub gains: Vec<[f32; 3]>,
     /// How far each view's pose was corrected (millimetres, at the object's middle).
     pub shifts_mm: Vec<f64>,
-    /// Brightness of the light on the darkest tenth of what was seen, next to the brightest tenth, both of which the
-    /// texture shows in the same light; `None` when the light was left in.
-    pub dimmest: Option<f64>,
 }
 
 /// Paints `mesh` (object frame, metres) with what `views` saw of it.
 ///
-/// The method: an atlas; visibility by a depth buffer of the mesh and the measured depth; the light as a function of the
-/// normal, estimated over all views and taken out; a last photometric correction of the poses; per-view gains by least
-/// squares over what several views saw; a weight of each view at each vertex by angle, resolution, sharpness, depth
-/// residual and distance from the mask's border; and two bands, the low one averaged over all agreeing views, the high
-/// one from the best views (after Baumberg, "Blending Images for Texturing 3D Models", BMVC 2002).
+/// The method: an atlas; a last photometric correction of the poses; visibility by a depth buffer of the mesh and the measured depth; per-view gains by least
+/// squares over what several views saw; the best view of each face by angle, resolution, sharpness, depth residual
+/// and distance from the mask's border, smoothed over neighbours (after Lempitsky and Ivanov, "Seamless Mosaicing
+/// of Image-Based Texture Maps", CVPR 2007); and two bands, the low one averaged over all agreeing views, the high
+/// one from the best view (after Baumberg, "Blending Images for Texturing 3D Models", BMVC 2002).
 ///
 /// # Errors
 /// When mesh, views or size can't be used, see [`TextureError`].
@@ -150,30 +143,28 @@ pub fn bake(mesh: &TriMesh, views: &[View], options: &TextureOptions) -> Result<
     }
     let layout = atlas::unwrap(&mesh, options)?;
     let mut prepared = view::prepare(&mesh, views);
-    let mut light = even_light(&mesh, &mut prepared, options);
     let mut shifts_mm = vec![0.0; views.len()];
     if options.align {
-        // Shading would be taken for motion: it is out by now. What is seen at the corrected poses is the better light.
         let corrections = align::corrections(&mesh, &prepared);
         prepared = view::prepare_corrected(&mesh, views, &corrections);
-        light = even_light(&mesh, &mut prepared, options);
         shifts_mm = corrections.iter().map(|c| shift_mm(&mesh, c)).collect();
     }
     let mut sightings = sample::sightings(&mesh, &prepared);
     let gains = color::gains(&sightings, views.len());
     color::drop_outliers(&mut sightings, &gains);
+    let labels = select::best_views(&mesh, &sightings);
     let vertices = color::vertex_colors(&mesh, &sightings, &gains);
-    let detail = select::best_views(&sightings);
-    let faces_per_view = select::faces_per_view(&mesh, &detail, views.len());
     let scene = paint::Scene {
         mesh: &mesh,
         views: &prepared,
         sightings: &sightings,
-        detail,
+        detail: select::feathered(&mesh, &sightings, &labels),
         gains: &gains,
         fill: &vertices,
     };
     let (texture, observed) = paint::paint(&scene, &layout, options.size);
+    let mut faces_per_view = vec![0; views.len()];
+    labels.iter().flatten().for_each(|&v| faces_per_view[v as usize] += 1);
     Ok(TexturedMesh {
         positions: layout.source.iter().map(|&i| mesh.vertices[i as usize]).collect(),
         normals: layout.source.iter().map(|&i| mesh.normals[i as usize]).collect(),
@@ -189,22 +180,8 @@ pub fn bake(mesh: &TriMesh, views: &[View], options: &TextureOptions) -> Result<
             faces_per_view,
             gains,
             shifts_mm,
-            dimmest: light.map(|l| l.dimmest),
         },
     })
-}
-
-/// Estimates the light and takes it out of the views, if that is wanted.
-fn even_light(
-    mesh: &TriMesh,
-    views: &mut [view::Prepared],
-    options: &TextureOptions,
-) -> Option<light::Light> {
-    let light = if options.even_light { light::estimate(mesh, views) } else { None };
-    if let Some(light) = &light {
-        views.par_iter_mut().for_each(|view| view.relight(mesh, light));
-    }
-    light
 }
 
 /// How far a motion moves the middle of the mesh's box.

@@ -11,7 +11,7 @@ use super::{
     color::{scaled, to_bytes},
     fill,
     sample::Sighting,
-    view::{Prepared, bilinear, cubic},
+    view::{Prepared, bilinear},
 };
 
 /// Detail is a factor on the broad colour, so that it doesn't depend on how brightly the view's lamp shone there; it is
@@ -136,7 +136,7 @@ impl Scene<'_> {
             (0..3).for_each(|k| low[k] += broad * base[k]);
             low_sum += broad;
             if detail > 0.0 {
-                let full = scaled(cubic(&view.color, pixel), gain);
+                let full = scaled(bilinear(&view.color, pixel), gain);
                 (0..3).for_each(|k| high[k] += detail * (full[k] / base[k].max(DARK)).min(MOST));
                 high_sum += detail;
             }

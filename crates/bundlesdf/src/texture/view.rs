@@ -1,11 +1,11 @@
 //! What is known about a view before anything is taken from it.
 
 use marching_cubes::TriMesh;
-use nalgebra::{Isometry3, Point3, Vector3};
+use nalgebra::{Isometry3, Point3};
 use rayon::prelude::*;
 use rgbd_io::{Image, Intrinsics};
 
-use super::{View, light::Light};
+use super::View;
 use crate::depth::depth_sigma;
 use crate::raster::cover;
 
@@ -91,7 +91,8 @@ impl Prepared {
                 && !is_step(&surface, x, y)
         });
         let color = Image::from_fn(width, height, |x, y| view.color[(x0 + x, y0 + y)].map(f32::from));
-        let low = blurred(&color, &usable, blur_radius(width, height));
+        let radius = ((width as f64).hypot(height as f64) * BLUR).round().max(1.0) as usize;
+        let low = blurred(&color, &usable, radius);
         let sharpness = sharpness(&color, &usable);
         let residual = residual(&measured, &surface, &usable);
         let view = Self {
@@ -105,38 +106,6 @@ impl Prepared {
             quality: (1.0 / (1.0 + (residual / RESIDUAL).powi(2))) as f32,
         };
         (view, sharpness)
-    }
-
-    /// Brings the view's colours to even, full light.
-    pub(super) fn relight(&mut self, mesh: &TriMesh, light: &Light) {
-        let rotation = self.cam_from_obj.rotation;
-        let factors: Vec<f64> = mesh
-            .normals
-            .iter()
-            .map(|n| f64::from(light.factor(rotation * Vector3::from(n.map(f64::from)))))
-            .collect();
-        let (width, height) = self.color.size();
-        let mut image = Image::filled(width, height, f32::NAN);
-        let points = projected(mesh, &self.k, &self.cam_from_obj);
-        for t in &mesh.triangles {
-            let [Some(a), Some(b), Some(c)] = t.map(|i| points[i as usize]) else { continue };
-            cover([a.0, b.0, c.0], width, height, |x, y, w| {
-                let z = (1.0 / (w[0] * a.1 + w[1] * b.1 + w[2] * c.1)) as f32;
-                if z <= self.surface[(x, y)] {
-                    image[(x, y)] = (0..3).map(|i| w[i] * factors[t[i] as usize]).sum::<f64>() as f32;
-                }
-            });
-        }
-        // Beside the mesh, as on the mean of it.
-        let known = image.pixels().iter().filter(|f| !f.is_nan());
-        let (sum, count) = known.fold((0.0f64, 0u32), |(s, n), f| (s + f64::from(*f), n + 1));
-        let mean = if count > 0 { (sum / f64::from(count)) as f32 } else { 1.0 };
-        for (color, factor) in self.color.pixels_mut().iter_mut().zip(image.pixels()) {
-            let factor = if factor.is_nan() { mean } else { *factor };
-            *color = color.map(|v| v * factor);
-        }
-        let usable = self.inset.map(|d| *d > 0.0);
-        self.low = blurred(&self.color, &usable, blur_radius(width, height));
     }
 
     pub(super) fn intrinsics(&self) -> &Intrinsics {
@@ -201,30 +170,6 @@ pub(super) fn bilinear(image: &Image<[f32; 3]>, [u, v]: [f32; 2]) -> [f32; 3] {
     })
 }
 
-/// Catmull-Rom (1974) value at a pixel inside the image; linear next to its border. Sharper than linear.
-pub(super) fn cubic(image: &Image<[f32; 3]>, [u, v]: [f32; 2]) -> [f32; 3] {
-    let (width, height) = image.size();
-    // Written so that a NaN fails it.
-    let inside = u >= 1.0 && v >= 1.0 && u < width as f32 - 2.0 && v < height as f32 - 2.0;
-    if !inside {
-        return bilinear(image, [u, v]);
-    }
-    let weights = |t: f32| {
-        let (t2, t3) = (t * t, t * t * t);
-        [-t + 2.0 * t2 - t3, 2.0 - 5.0 * t2 + 3.0 * t3, t + 4.0 * t2 - 3.0 * t3, t3 - t2].map(|w| 0.5 * w)
-    };
-    let (x, y) = (u as usize, v as usize);
-    let (across, down) = (weights(u.fract()), weights(v.fract()));
-    let mut sum = [0.0; 3];
-    for (j, wy) in down.iter().enumerate() {
-        for (i, wx) in across.iter().enumerate() {
-            let c = image[(x + i - 1, y + j - 1)];
-            (0..3).for_each(|k| sum[k] += wx * wy * c[k]);
-        }
-    }
-    sum
-}
-
 /// Brightness of a view, blurred within its usable pixels, over that of its surroundings, which takes shading and
 /// exposure out; 128 = as bright as the surroundings.
 pub(super) fn contrast(view: &Prepared, radius: usize) -> Image<f32> {
@@ -254,20 +199,6 @@ fn crop_of(view: &View) -> [usize; 4] {
     [x0, y0, (bounds[2] + MARGIN + 1).min(width) - x0, (bounds[3] + MARGIN + 1).min(height) - y0]
 }
 
-/// Radius of the low band's blur, pixels.
-fn blur_radius(width: usize, height: usize) -> usize {
-    ((width as f64).hypot(height as f64) * BLUR).round().max(1.0) as usize
-}
-
-/// Pixel and inverse depth of every vertex; `None` behind the camera.
-fn projected(mesh: &TriMesh, k: &Intrinsics, pose: &Isometry3<f64>) -> Vec<Option<([f64; 2], f64)>> {
-    let project = |p: &[f32; 3]| {
-        let q = pose * Point3::from(p.map(f64::from));
-        k.project(q.coords.into()).map(|uv| (uv, 1.0 / q.z))
-    };
-    mesh.vertices.iter().map(project).collect()
-}
-
 /// Depth buffer of the mesh.
 fn depth_of(
     mesh: &TriMesh,
@@ -277,7 +208,14 @@ fn depth_of(
     height: usize,
 ) -> Image<f32> {
     let mut buffer = Image::filled(width, height, NOTHING);
-    let points = projected(mesh, k, pose);
+    let points: Vec<_> = mesh
+        .vertices
+        .iter()
+        .map(|p| {
+            let q = pose * Point3::from(p.map(f64::from));
+            k.project(q.coords.into()).map(|uv| (uv, 1.0 / q.z))
+        })
+        .collect();
     for t in &mesh.triangles {
         let [Some(a), Some(b), Some(c)] = t.map(|i| points[i as usize]) else { continue };
         cover([a.0, b.0, c.0], width, height, |x, y, w| {
