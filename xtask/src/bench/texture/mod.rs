@@ -53,7 +53,7 @@ struct Row {
     frames: Psnr,
     /// Share of the surface's texels that some view saw.
     observed: f64,
-    /// Share of the surface's texels darker than 8 of 255 in all channels where the object has no such colour.
+    /// Texels that are black, which no object of the suite is.
     black: usize,
     seconds: f64,
 }
