@@ -3,6 +3,7 @@
 mod mask;
 mod posegraph;
 mod tracker;
+mod texture;
 
 use clap::Subcommand;
 use std::process::ExitCode;
@@ -16,6 +17,8 @@ pub(crate) enum Part {
     Posegraph(posegraph::PosegraphArgs),
     /// The tracker: frames per second and milliseconds by stage, alone and beside the field's training.
     Tracker(tracker::TrackerArgs),
+    /// The texture: how far its colours are from the true ones in frames that it wasn't made from.
+    Texture(texture::TextureArgs),
 }
 
 /// Measures one part.
@@ -24,5 +27,6 @@ pub(crate) fn run(part: &Part) -> anyhow::Result<ExitCode> {
         Part::Mask(args) => mask::run(args),
         Part::Posegraph(args) => posegraph::run(args),
         Part::Tracker(args) => tracker::run(args),
+        Part::Texture(args) => texture::run(args),
     }
 }

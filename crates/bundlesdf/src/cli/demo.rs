@@ -10,7 +10,7 @@ use rgbd_io::FrameSource;
 use rgbd_synth::{Masks, Sequence};
 
 use super::{
-    DemoArgs, DemoMasks, EXIT_INTERRUPTED,
+    DemoArgs, DemoMasks, EXIT_INTERRUPTED, export,
     log::Log,
     report::write_report,
     run::{print, summary, track},
@@ -45,9 +45,10 @@ pub(super) fn demo(args: &DemoArgs, log: Log) -> anyhow::Result<ExitCode> {
     let poses: Vec<_> = run.frames.iter().map(|f| f.cam_from_obj).collect();
     let scores = evaluate(&poses, run.reconstruction.mesh.as_ref(), report.count(Status::Lost), &truth);
     folder.write_json("eval.json", &scores)?;
+    let assets = if args.how.no_export { None } else { export::at_the_end(&report, &folder, log) };
     write_report(&folder, log);
     log.summary(&report, &folder);
-    print(&summary(&report, &folder));
+    print(&summary(&report, assets.as_ref(), &folder));
     print(&score_lines(&scores));
     Ok(if run.interrupted { ExitCode::from(EXIT_INTERRUPTED) } else { ExitCode::SUCCESS })
 }

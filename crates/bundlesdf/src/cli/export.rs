@@ -3,12 +3,12 @@
 use std::{path::PathBuf, process::ExitCode};
 
 use bundlesdf::{
-    OutputFolder,
+    OutputFolder, RunReport,
     export::{ExportOptions, ExportReport, Format, export},
 };
 use clap::Args;
 
-use super::run::print;
+use super::{log::Log, run::print};
 
 #[derive(Args, Debug)]
 pub(super) struct ExportArgs {
@@ -70,6 +70,33 @@ pub(super) fn run(args: &ExportArgs) -> anyhow::Result<ExitCode> {
     let report = export(&folder, &options)?;
     print(&summary(&report, &folder));
     Ok(ExitCode::SUCCESS)
+}
+
+/// Texels per side of the texture at the end of a run: enough to look at, and a few seconds' work.
+const TEXTURE_OF_RUN: usize = 1024;
+
+/// The textured mesh at the end of a run, unless it was cut short or has no mesh. All results are there without it: a
+/// failure is a warning.
+pub(super) fn at_the_end(run: &RunReport, folder: &OutputFolder, log: Log) -> Option<ExportReport> {
+    if run.interrupted || run.mesh.faces == 0 {
+        return None;
+    }
+    let options = ExportOptions {
+        texture: Some(TEXTURE_OF_RUN),
+        formats: vec![Format::Glb, Format::Obj],
+        ..ExportOptions::default()
+    };
+    match export(folder, &options) {
+        Ok(report) => {
+            log.assets(&report, folder);
+            Some(report)
+        }
+        Err(error) => {
+            let again = folder.path().display();
+            log.warning(&format!("no textured mesh: {error}; `bundlesdf export {again}` tries again"));
+            None
+        }
+    }
 }
 
 /// The closing table.

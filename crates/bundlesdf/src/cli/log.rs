@@ -2,7 +2,9 @@
 
 use std::io::{IsTerminal, Write};
 
-use bundlesdf::{FrameResult, OutputFolder, RoundReport, RunReport, Status, VideoInput};
+use bundlesdf::{
+    FrameResult, OutputFolder, RoundReport, RunReport, Status, VideoInput, export::ExportReport,
+};
 use serde_json::{Value, json};
 
 /// Who reads standard error.
@@ -45,6 +47,14 @@ impl Log {
 
     pub(super) fn finishing(self) {
         self.event(|| json!({ "event": "finishing" }));
+    }
+
+    pub(super) fn assets(self, report: &ExportReport, folder: &OutputFolder) {
+        let s = &report.seconds;
+        self.event(|| {
+            json!({ "event": "assets", "files": report.files, "faces": report.faces,
+                "ms": rounded((s.load + s.mesh + s.texture + s.write) * 1e3), "out": folder.path() })
+        });
     }
 
     pub(super) fn summary(self, report: &RunReport, folder: &OutputFolder) {

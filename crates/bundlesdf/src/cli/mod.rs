@@ -119,7 +119,8 @@ struct RunArgs {
     /// Name of the sequence in the dataset.
     #[arg(long, value_name = "NAME", requires = "dataset")]
     video: Option<String>,
-    /// Folder for the results: report.html, ob_in_cam/, masks/, mesh.obj, mesh.ply, keyframes.json, run.json.
+    /// Folder for the results: report.html, ob_in_cam/, masks/, mesh.obj, mesh.ply, mesh.glb, textured.obj,
+    /// keyframes.json, run.json.
     #[arg(long, required_unless_present = "resume")]
     out: Option<PathBuf>,
     /// Go on with the run in this output folder that was stopped: by Ctrl-C, a kill, a full disk. Video and settings
@@ -232,6 +233,9 @@ struct HowArgs {
     /// Bit-identical results in every run on one machine (implies lockstep and the CPU).
     #[arg(long)]
     deterministic: bool,
+    /// Leave out the textured mesh at the end (mesh.glb, textured.obj); `bundlesdf export` makes it later.
+    #[arg(long)]
+    no_export: bool,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]

@@ -4,13 +4,14 @@ use std::{io::Write, path::Path, process::ExitCode, sync::Arc};
 
 use bundlesdf::{
     Config, Manifest, OutputFolder, RunError, RunReport, RunSoFar, Schedule, SegmenterChoice, StateFolder,
-    Status, Tracker, VideoInput, VideoRun, continue_video, input::mask_source, segmenter::OnTrouble,
+    Status, Tracker, VideoInput, VideoRun, continue_video, export::ExportReport, input::mask_source,
+    segmenter::OnTrouble,
 };
 use rgbd_io::{CustomOptions, FrameSource};
 
 use super::{
-    EXIT_BAD_INPUT, EXIT_INTERRUPTED, InputArgs, RunArgs, log::Log, progress::Progress, report::write_report,
-    stop_flag,
+    EXIT_BAD_INPUT, EXIT_INTERRUPTED, InputArgs, RunArgs, export, log::Log, progress::Progress,
+    report::write_report, stop_flag,
 };
 
 /// How the input arguments read a custom folder.
@@ -51,6 +52,13 @@ pub(super) fn run(args: &RunArgs, log: Log) -> anyhow::Result<ExitCode> {
                 if let Ok((state, _)) = StateFolder::open(out) {
                     state.remove()?;
                 }
+                if !out.join("report.html").exists() {
+                    let folder = OutputFolder::reopen(out)?;
+                    if !args.how.no_export {
+                        export::at_the_end(&folder.read_report()?, &folder, log);
+                    }
+                    write_report(&folder, log);
+                }
                 print(&format!("{} is done: there is nothing to go on with\n", out.display()));
                 return Ok(ExitCode::SUCCESS);
             }
@@ -69,9 +77,10 @@ pub(super) fn run(args: &RunArgs, log: Log) -> anyhow::Result<ExitCode> {
         }
         _ => anyhow::bail!("give a video and --out, or --resume with an output folder"),
     };
+    let assets = if args.how.no_export { None } else { export::at_the_end(&report, &folder, log) };
     write_report(&folder, log);
     log.summary(&report, &folder);
-    print(&summary(&report, &folder));
+    print(&summary(&report, assets.as_ref(), &folder));
     Ok(match run.unreadable.first() {
         _ if run.interrupted => ExitCode::from(EXIT_INTERRUPTED),
         Some(first) => {
@@ -170,7 +179,7 @@ fn with_way_on(error: rgbd_io::Error, folder: &OutputFolder) -> rgbd_io::Error {
 }
 
 /// The closing table.
-pub(super) fn summary(report: &RunReport, folder: &OutputFolder) -> String {
+pub(super) fn summary(report: &RunReport, assets: Option<&ExportReport>, folder: &OutputFolder) -> String {
     let statuses = [Status::Tracked, Status::Relocalised, Status::Weak, Status::Lost]
         .map(|s| format!("{} {}", report.count(s), s.as_str()))
         .join(", ");
@@ -186,6 +195,7 @@ pub(super) fn summary(report: &RunReport, folder: &OutputFolder) -> String {
         report.field.ms_per_round_median / 1e3,
         report.field.steps
     );
+    let textured = if assets.is_some() { " mesh.glb, textured.obj," } else { "" };
     let mut text = String::new();
     for (name, value) in [
         ("frames", format!("{} ({statuses})", report.frames.len())),
@@ -196,7 +206,7 @@ pub(super) fn summary(report: &RunReport, folder: &OutputFolder) -> String {
         (
             "results",
             format!(
-                "{} (report.html, ob_in_cam/, masks/, mesh.obj, mesh.ply, keyframes.json, run.json)",
+                "{} (report.html,{textured} ob_in_cam/, masks/, mesh.obj, mesh.ply, keyframes.json, run.json)",
                 folder.path().display()
             ),
         ),

@@ -11,8 +11,12 @@ use crate::{KeyframeReport, OutputFolder, texture::View};
 /// Most views that are used; of more, every n-th.
 const MOST_VIEWS: usize = 160;
 
-/// Reads mesh and keyframes, refined ones if both are there, and the keyframes' frames.
-pub(super) fn load(folder: &OutputFolder) -> Result<(TriMesh, Vec<View>), Error> {
+/// Reads a finished run's mesh and keyframes (object frame, metres), refined ones if both are there, and the keyframes'
+/// frames from the video.
+///
+/// # Errors
+/// When a file is missing or broken, or the results don't say which video they are of.
+pub fn load(folder: &OutputFolder) -> Result<(TriMesh, Vec<View>), Error> {
     let refined = folder.path().join("mesh_refined.ply");
     let refined_keyframes = folder.path().join("keyframes_refined.json");
     let (mesh, keyframes) = if refined.is_file() && refined_keyframes.is_file() {

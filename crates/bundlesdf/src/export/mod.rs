@@ -23,6 +23,7 @@ use crate::{
 };
 
 pub use glb::glb;
+pub use load::load;
 pub use mass::{MassProperties, mass_properties};
 pub use observe::{Observations, observe};
 pub(crate) use write::{FILES, SIM};
@@ -263,7 +264,10 @@ fn build_timed(
 }
 
 /// One welded, oriented component of what was seen, closed and simplified as asked, with normals.
-fn clean(mesh: &TriMesh, views: &[View], options: &ExportOptions) -> Result<TriMesh, ExportError> {
+///
+/// # Errors
+/// When nothing of the mesh is left.
+pub fn clean(mesh: &TriMesh, views: &[View], options: &ExportOptions) -> Result<TriMesh, ExportError> {
     let mut mesh = mesh.clone();
     mesh.weld();
     mesh = mesh.largest_component();

@@ -194,7 +194,8 @@ pub fn results(out: &Path) -> Vec<(PathBuf, Vec<u8>)> {
     for folder in ["ob_in_cam", "masks", ""] {
         for entry in std::fs::read_dir(out.join(folder)).unwrap() {
             let path = entry.unwrap().path();
-            let has_times = ["run.json", "report.html"].iter().any(|name| path.ends_with(name));
+            let has_times =
+                ["run.json", "report.html", "export.json"].iter().any(|name| path.ends_with(name));
             if path.is_file() && !has_times {
                 files.push((path.strip_prefix(out).unwrap().to_owned(), std::fs::read(&path).unwrap()));
             }
