@@ -4,6 +4,7 @@
 //! It starts the `bundlesdf` binary and never links its library: what is measured is what a user runs.
 #![allow(clippy::print_stdout, reason = "a command line tool reports on standard output")]
 
+mod bench;
 mod eval;
 mod tidy;
 
@@ -24,6 +25,11 @@ enum Command {
         #[command(subcommand)]
         layout: eval::Layout,
     },
+    /// Measure the speed of single parts, against a peer where one is given.
+    Bench {
+        #[command(subcommand)]
+        part: bench::Part,
+    },
     /// Check the rules of the tree: layers, docs, file sizes, what code may touch.
     Tidy,
 }
@@ -31,6 +37,7 @@ enum Command {
 fn main() -> anyhow::Result<ExitCode> {
     match Args::parse().command {
         Command::Eval { layout } => eval::run(&layout),
+        Command::Bench { part } => bench::run(&part),
         Command::Tidy => tidy::run(),
     }
 }

@@ -34,6 +34,7 @@ pub mod input;
 pub mod observation;
 pub mod output;
 mod pool;
+pub mod refine;
 pub mod report;
 mod rigid;
 mod surface;

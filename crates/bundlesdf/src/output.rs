@@ -14,12 +14,26 @@ use rgbd_io::{
 use serde::{Serialize, de::DeserializeOwned};
 
 use crate::{
+    refine::Refined,
     report::{KeyframeReport, RunReport},
     tracker::Reconstruction,
 };
 
 const POSES: &str = "ob_in_cam";
 const MASKS: &str = "masks";
+const REFINED_POSES: &str = "ob_in_cam_refined";
+
+/// Files directly in the folder that a run or a later step writes.
+const FILES: [&str; 8] = [
+    "run.json",
+    "keyframes.json",
+    "mesh.ply",
+    "mesh.obj",
+    "eval.json",
+    "keyframes_refined.json",
+    "mesh_refined.ply",
+    "mesh_refined.obj",
+];
 
 /// A folder that holds one run's results.
 #[derive(Clone, Debug)]
@@ -145,6 +159,26 @@ impl OutputFolder {
         self.write_json("keyframes.json", &keyframes)
     }
 
+    /// Writes what a refinement found: `ob_in_cam_refined/<id>.txt`, `keyframes_refined.json`, `mesh_refined.ply` and
+    /// `.obj`. The run's own results stay.
+    ///
+    /// # Errors
+    /// When a file can't be written.
+    pub fn write_refined(&self, refined: &Refined) -> Result<(), Error> {
+        let dir = self.root.join(REFINED_POSES);
+        fs::create_dir_all(&dir).map_err(|e| {
+            Error::new(&dir, format!("can't be prepared ({e})"), "choose a folder you may write to")
+        })?;
+        for frame in &refined.frames {
+            let path = dir.join(format!("{}.txt", frame.id));
+            write_atomic(&path, format_pose(&frame.cam_from_obj).as_bytes())?;
+        }
+        self.write_mesh("mesh_refined.ply", &refined.mesh, marching_cubes::write_ply)?;
+        self.write_mesh("mesh_refined.obj", &refined.mesh, marching_cubes::write_obj)?;
+        let keyframes: Vec<_> = refined.keyframes.iter().map(KeyframeReport::refined).collect();
+        self.write_json("keyframes_refined.json", &keyframes)
+    }
+
     /// Writes `run.json`.
     ///
     /// # Errors
@@ -182,7 +216,8 @@ impl OutputFolder {
 
 /// Removes what an earlier run wrote under its own names.
 fn remove_earlier_run(root: &Path) -> std::io::Result<()> {
-    for (dir, kind) in [(root.join(POSES), "txt"), (root.join(MASKS), "png")] {
+    for (dir, kind) in [(POSES, "txt"), (REFINED_POSES, "txt"), (MASKS, "png")] {
+        let dir = root.join(dir);
         if !dir.is_dir() {
             continue;
         }
@@ -193,7 +228,7 @@ fn remove_earlier_run(root: &Path) -> std::io::Result<()> {
             }
         }
     }
-    for name in ["run.json", "keyframes.json", "mesh.ply", "mesh.obj", "eval.json"] {
+    for name in FILES {
         match fs::remove_file(root.join(name)) {
             Err(e) if e.kind() != std::io::ErrorKind::NotFound => return Err(e),
             _ => {}

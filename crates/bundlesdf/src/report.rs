@@ -1,12 +1,14 @@
 //! `run.json` and `keyframes.json`: what a run did, for programs.
 
 use marching_cubes::TriMesh;
+use nalgebra::Isometry3;
 use serde::{Deserialize, Serialize};
 
 use crate::{
     config::{Config, Schedule},
     input::VideoInput,
     pool::Keyframe,
+    refine::RefinedKeyframe,
     tracker::{FieldSummary, FrameResult, Status},
     video::VideoRun,
 };
@@ -136,7 +138,13 @@ impl FrameReport {
     }
 }
 
-/// One keyframe of `keyframes.json`.
+/// Row-major 4x4.
+fn rows(pose: &Isometry3<f64>) -> [[f64; 4]; 4] {
+    let m = pose.to_homogeneous();
+    std::array::from_fn(|r| std::array::from_fn(|c| m[(r, c)]))
+}
+
+/// One keyframe of `keyframes.json` or `keyframes_refined.json`.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct KeyframeReport {
     /// Number of the frame in the video.
@@ -151,12 +159,20 @@ pub struct KeyframeReport {
 
 impl KeyframeReport {
     pub(crate) fn of(keyframe: &Keyframe) -> Self {
-        let m = keyframe.obj_from_cam.inverse().to_homogeneous();
         Self {
             index: keyframe.index,
             id: keyframe.id.clone(),
-            cam_from_obj: std::array::from_fn(|r| std::array::from_fn(|c| m[(r, c)])),
+            cam_from_obj: rows(&keyframe.obj_from_cam.inverse()),
             refined_by_field: keyframe.refined_by_field,
+        }
+    }
+
+    pub(crate) fn refined(keyframe: &RefinedKeyframe) -> Self {
+        Self {
+            index: keyframe.index,
+            id: keyframe.id.clone(),
+            cam_from_obj: rows(&keyframe.obj_from_cam.inverse()),
+            refined_by_field: true,
         }
     }
 }

@@ -42,6 +42,10 @@
 //! The training step is written out as equations in `docs/field.md` of the repository.
 
 mod adam;
+#[cfg(feature = "bench")]
+pub mod bench;
+mod clock;
+mod closing;
 mod color;
 mod config;
 mod eikonal;
@@ -65,6 +69,7 @@ mod sampler;
 mod simd;
 mod tile;
 mod train;
+mod trust;
 mod volume;
 
 pub use config::{FieldConfig, LossWeights};

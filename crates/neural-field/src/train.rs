@@ -8,6 +8,7 @@ use crate::frame::FieldImages;
 use crate::pose::PoseCorrections;
 use crate::rays::FrameRays;
 use crate::sampler::Sampler;
+use crate::trust;
 use crate::volume::Volume;
 use nalgebra::Isometry3;
 use rayon::prelude::*;
@@ -73,12 +74,16 @@ pub fn train(
         config.max_translation,
         config.max_rotation_deg.to_radians(),
     );
-    let sampler = Sampler::new(config, volume, rays).ok_or(FieldError::NoSurface)?;
+    let mut sampler = Sampler::new(config, volume, rays).ok_or(FieldError::NoSurface)?;
     let mut engine = CpuEngine::new(config, &sampler);
     let mut losses = Vec::new();
     for step in 0..config.steps {
         if control.stop.is_some_and(|s| s.load(Ordering::Relaxed)) {
             return Err(FieldError::Stopped);
+        }
+        if trust::is_due(config, step) {
+            sampler
+                .set_trust(&trust::weights(&engine.residuals(&sampler, &corrections), config.outlier_ratio));
         }
         let decay = config.decay.powf(step as f64 / config.steps as f64);
         let rates =

@@ -3,6 +3,7 @@
 mod check;
 mod demo;
 mod progress;
+mod refine;
 mod run;
 
 use std::{
@@ -28,6 +29,7 @@ Examples:
   bundlesdf check VIDEO                   see what is in a folder and what is wrong with it
   bundlesdf run VIDEO --out OUT           track VIDEO from the mask of its first frame
   bundlesdf run VIDEO --out OUT --masks all --schedule realtime
+  bundlesdf refine OUT                    improve the mesh and all poses of a run that has ended
 
 VIDEO is a folder with rgb/*.png|jpg, depth/*.png (16 bit, millimetres, registered to colour), masks/*.png (at least
 the first frame's; white = object) and cam_K.txt (3x3 intrinsics of the colour camera, pixels).
@@ -51,6 +53,8 @@ enum Command {
     Demo(DemoArgs),
     /// Track and reconstruct the object in a video.
     Run(RunArgs),
+    /// Refine the results of a run: the mesh, and the poses of all frames against it.
+    Refine(refine::RefineArgs),
     /// Look at a video folder: what is in it, what is wrong, and what to do about it.
     Check(CheckArgs),
 }
@@ -207,6 +211,7 @@ pub(crate) fn main() -> ExitCode {
     let outcome = match &cli.command {
         Command::Demo(args) => demo::demo(args),
         Command::Run(args) => run::run(args),
+        Command::Refine(args) => refine::refine(args),
         Command::Check(args) => check::check(args),
     };
     outcome.unwrap_or_else(|error| {

@@ -4,6 +4,7 @@ mod coarse;
 mod correspond;
 mod graph;
 mod motion;
+pub(crate) mod offline;
 mod result;
 mod rounds;
 mod verify;
