@@ -54,7 +54,14 @@ impl FrameToFrame {
         for &(p, q) in pairs {
             let (Some(a), Some(b)) = (lift(last, &from, p), lift(new, &to, q)) else { continue };
             let (point_a, point_b) = (rigid.point(a.0), rigid.point(b.0));
-            lifted.push(LiftedMatch { a: point_a, normal_a: a.1, b: point_b, normal_b: b.1, weight: 1.0 });
+            lifted.push(LiftedMatch {
+                a: point_a,
+                normal_a: a.1,
+                b: point_b,
+                normal_b: b.1,
+                sight: [0.0; 3],
+                weight: 1.0,
+            });
             in_camera.push((point_a, b.0));
         }
         let (middle, _) = new.bounds();

@@ -71,6 +71,9 @@ pub struct CoarseConfig {
     pub hypotheses: usize,
     /// Largest distance of an inlier (metres, at 0.5 m; grows with the depth noise).
     pub inlier_distance: f64,
+    /// Largest part of that distance across the line of sight (pixels; widened by what the depth noise adds when the
+    /// view turns).
+    pub inlier_lateral_px: f64,
     /// Largest angle between the normals of an inlier (degrees).
     pub inlier_normal_deg: f64,
     /// Fewest inliers for a motion to be believed.
@@ -90,6 +93,7 @@ impl Default for CoarseConfig {
             max_corners_memory: 120,
             hypotheses: 500,
             inlier_distance: 0.006,
+            inlier_lateral_px: 2.0,
             inlier_normal_deg: 45.0,
             min_inliers: 8,
             min_relocalise_inliers: 11,
@@ -307,6 +311,14 @@ impl Config {
                 Err(format!("{name} must be above 0, is {value}"))
             }
         };
+        let between = |name: &str, value: f64, range: std::ops::RangeInclusive<f64>| {
+            // NaN lies in no range.
+            if range.contains(&value) {
+                Ok(())
+            } else {
+                Err(format!("{name} must be within {} to {}, is {value}", range.start(), range.end()))
+            }
+        };
         let within = |name: &str, value: usize, range: std::ops::RangeInclusive<usize>| {
             if range.contains(&value) {
                 Ok(())
@@ -319,18 +331,31 @@ impl Config {
         within("preprocess.mask_erosion", p.mask_erosion, 0..=20)?;
         positive("preprocess.max_depth - preprocess.min_depth", f64::from(p.max_depth - p.min_depth))?;
         positive("preprocess.smoothing_gate", f64::from(p.smoothing_gate))?;
+        between("preprocess.grazing_deg", f64::from(p.grazing_deg), 0.0..=90.0)?;
         within("coarse.max_corners", c.max_corners, 8..=5000)?;
         within("coarse.max_corners_memory", c.max_corners_memory, 8..=5000)?;
         within("coarse.hypotheses", c.hypotheses, 1..=100_000)?;
         within("coarse.min_inliers", c.min_inliers, 3..=1000)?;
         positive("coarse.inlier_distance", c.inlier_distance)?;
+        positive("coarse.inlier_lateral_px", c.inlier_lateral_px)?;
         positive("coarse.inlier_normal_deg", c.inlier_normal_deg)?;
         positive("coarse.max_translation", c.max_translation)?;
         positive("coarse.max_rotation_deg", c.max_rotation_deg)?;
         positive("memory.min_swing_deg", m.min_swing_deg)?;
+        between("memory.min_valid_share", m.min_valid_share, 0.0..=1.0)?;
+        between("memory.min_visible", m.min_visible, 0.0..=1.0)?;
+        between("memory.visible_deg", m.visible_deg, 0.0..=90.0)?;
         within("memory.capacity", m.capacity, 2..=1000)?;
         within("memory.selected", m.selected, 1..=15)?;
         within("graph.iterations", g.iterations, 1..=100)?;
+        for (name, weight) in [
+            ("graph.feature_weight", g.feature_weight),
+            ("graph.dense_weight", g.dense_weight),
+            ("graph.sdf_weight", g.sdf_weight),
+        ] {
+            between(name, weight, 0.0..=1e6)?;
+        }
+        within("graph.sdf_points", g.sdf_points, 0..=1_000_000)?;
         positive("graph.huber", g.huber)?;
         within("graph.dense_pixels", g.dense_pixels, 100..=1_000_000)?;
         within("field.first_round_keyframes", f.first_round_keyframes, 1..=1000)?;
@@ -361,7 +386,22 @@ mod tests {
         assert!(error.contains("c.toml") && error.contains("min_swing"), "{error}");
         let error = Config::from_toml("[mesh]\nspacing = 0.0\n", "c.toml").unwrap_err().to_string();
         assert!(error.contains("mesh.spacing"), "{error}");
-        let error = Config::from_toml("[mesh]\nspacing = nan\n", "c.toml").unwrap_err().to_string();
-        assert!(error.contains("mesh.spacing"), "{error}");
+        for (section, key) in [
+            ("mesh", "spacing"),
+            ("preprocess", "grazing_deg"),
+            ("memory", "min_valid_share"),
+            ("memory", "min_visible"),
+            ("memory", "visible_deg"),
+            ("graph", "feature_weight"),
+            ("graph", "dense_weight"),
+            ("graph", "sdf_weight"),
+            ("graph", "huber"),
+        ] {
+            for value in ["nan", "-1.0", "inf"] {
+                let text = format!("[{section}]\n{key} = {value}\n");
+                let error = Config::from_toml(&text, "c.toml").unwrap_err().to_string();
+                assert!(error.contains(&format!("{section}.{key}")), "{error}");
+            }
+        }
     }
 }

@@ -18,16 +18,21 @@ use crate::{config::GraphConfig, global_graph, observation::Observation, pool::M
 
 /// What a round does.
 pub(crate) enum Round {
-    /// Trains a field, which refines the poses.
+    /// Trains a field, which refines the poses; then as [`Round::PoseGraph`], with the field's surface as one more
+    /// term: the field sees the whole surface and knows nothing of matches.
     Field(FieldConfig),
-    /// Solves one pose graph over all keyframes, with their cached matches by frame index `(older, newer)`.
-    PoseGraph(GraphConfig, Vec<((usize, usize), MemoryEdge)>),
+    /// Solves one pose graph over all keyframes.
+    PoseGraph,
 }
 
 /// An immutable snapshot of the pool.
 pub(crate) struct FieldRequest {
     /// What to do.
     pub(crate) round: Round,
+    /// Weights of the pose graph over all keyframes.
+    pub(crate) graph: GraphConfig,
+    /// Cached matches between keyframes by frame index, `(older, newer)`.
+    pub(crate) edges: Vec<((usize, usize), MemoryEdge)>,
     /// Frame index, what was seen and current `obj_from_cam`; the first is the anchor.
     pub(crate) frames: Vec<(usize, Arc<Observation>, Isometry3<f64>)>,
 }
@@ -126,10 +131,11 @@ fn round(request: &FieldRequest, stop: &AtomicBool) -> FieldReply {
     let start = Instant::now();
     let outcome = catch_unwind(AssertUnwindSafe(|| match &request.round {
         Round::Field(config) => train(config, request, stop),
-        Round::PoseGraph(config, edges) => {
-            let poses = global_graph::optimise(&request.frames, edges, config)
+        Round::PoseGraph => {
+            let poses: Vec<_> = request.frames.iter().map(|(_, _, pose)| *pose).collect();
+            let poses = global_graph::optimise(request, &poses, None)
                 .ok_or("the global pose graph could not be solved")?;
-            Ok((poses, None, config.iterations))
+            Ok((poses, None, request.graph.iterations))
         }
     }));
     let (poses, field, steps) =
@@ -145,5 +151,7 @@ fn train(config: &FieldConfig, request: &FieldRequest, stop: &AtomicBool) -> Res
     let poses: Vec<_> = request.frames.iter().map(|(_, _, pose)| *pose).collect();
     let control = Control { stop: Some(stop), progress: None };
     let trained = neural_field::train(config, &images, &poses, &control).map_err(|e| e.to_string())?;
-    Ok((trained.poses().to_vec(), Some(Arc::new(trained)), config.steps))
+    let joint = global_graph::optimise(request, trained.poses(), Some(&trained));
+    let poses = joint.unwrap_or_else(|| trained.poses().to_vec());
+    Ok((poses, Some(Arc::new(trained)), config.steps))
 }

@@ -1,28 +1,34 @@
-//! One pose graph over all keyframes: the refiner of the paper's GPG ablation.
-
-use std::sync::Arc;
+//! One pose graph over all keyframes: what a field round ends with, and the whole round of the paper's GPG ablation.
 
 use nalgebra::Isometry3;
-use posegraph::{DenseEdge, FeatureEdge, Node, PoseGraph, SolveOptions, solve};
+use neural_field::TrainedField;
+use posegraph::{DenseEdge, FeatureEdge, Node, PoseGraph, SdfTerm, SolveOptions, solve};
 use se3_lie::distance::swing_angle;
 
-use crate::{config::GraphConfig, observation::Observation, pool::MemoryEdge};
+use crate::{field_model::FieldModel, field_worker::FieldRequest};
 
 /// Keyframes by swing angle that each one is compared with densely.
 const NEIGHBOURS: usize = 6;
 /// Beyond this swing two views share too little surface for a dense comparison (radians).
 const MAX_SWING: f64 = 1.0;
 
-/// Poses (`obj_from_cam`) of all `frames`, the first one held; `None` if the graph can't be built or solved.
+/// `obj_from_cam` of all keyframes of the request, started at `poses`, the first one held; with a `field` each keyframe
+/// is also drawn to its surface. `None` if the graph can't be built or solved.
 pub(crate) fn optimise(
-    frames: &[(usize, Arc<Observation>, Isometry3<f64>)],
-    edges: &[((usize, usize), MemoryEdge)],
-    config: &GraphConfig,
+    request: &FieldRequest,
+    poses: &[Isometry3<f64>],
+    field: Option<&TrainedField>,
 ) -> Option<Vec<Isometry3<f64>>> {
+    let FieldRequest { frames, edges, graph: config, .. } = request;
+    let model = field.map(FieldModel);
     let mut graph = PoseGraph::new();
-    for (position, (_, observation, pose)) in frames.iter().enumerate() {
+    for (position, ((_, observation, _), pose)) in frames.iter().zip(poses).enumerate() {
         let node = graph.add_node(Node { obj_from_cam: *pose, fixed: position == 0 });
         graph.set_view(node, &observation.dense).ok()?;
+        if let Some(model) = &model {
+            let points = observation.sdf_points(config.sdf_points);
+            graph.add_sdf_term(SdfTerm { node, points, model }).ok()?;
+        }
     }
     let position = |index: usize| frames.iter().position(|(i, _, _)| *i == index);
     for ((older, newer), edge) in edges {
@@ -36,16 +42,17 @@ pub(crate) fn optimise(
         };
         graph.add_feature_edge(edge).ok()?;
     }
-    for (source, target) in dense_pairs(frames) {
+    for (source, target) in dense_pairs(poses) {
         graph.add_dense_edge(DenseEdge { source, target }).ok()?;
     }
     let options = SolveOptions {
         max_iterations: config.iterations,
         feature_weight: config.feature_weight,
         dense_weight: config.dense_weight,
-        sdf_weight: 0.0,
+        sdf_weight: if field.is_some() { config.sdf_weight } else { 0.0 },
         feature_huber: config.huber,
         dense_huber: config.huber,
+        sdf_huber: config.huber,
         covariance: false,
         ..SolveOptions::default()
     };
@@ -53,10 +60,10 @@ pub(crate) fn optimise(
 }
 
 /// Each keyframe with the nearest of those before it.
-fn dense_pairs(frames: &[(usize, Arc<Observation>, Isometry3<f64>)]) -> Vec<(usize, usize)> {
+fn dense_pairs(poses: &[Isometry3<f64>]) -> Vec<(usize, usize)> {
     let mut pairs = Vec::new();
-    for (i, (_, _, pose)) in frames.iter().enumerate() {
-        let swing = |j: &usize| swing_angle(&pose.rotation, &frames[*j].2.rotation);
+    for (i, pose) in poses.iter().enumerate() {
+        let swing = |j: &usize| swing_angle(&pose.rotation, &poses[*j].rotation);
         let mut near: Vec<usize> = (0..i).filter(|j| swing(j) < MAX_SWING).collect();
         near.sort_by(|a, b| swing(a).total_cmp(&swing(b)));
         pairs.extend(near.into_iter().take(NEIGHBOURS).map(|j| (i, j)));

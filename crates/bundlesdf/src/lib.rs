@@ -25,9 +25,12 @@
 //! waits for each round and a run is reproducible, with [`Schedule::Realtime`] it never waits.
 
 mod ablation;
+pub mod canonical;
 pub mod config;
 mod depth;
 pub mod evaluate;
+pub mod export;
+mod field_model;
 mod field_worker;
 mod global_graph;
 pub mod input;
@@ -38,8 +41,10 @@ pub mod refine;
 pub mod report;
 mod rigid;
 mod surface;
+pub mod texture;
 mod tracker;
 mod video;
+mod zoom;
 
 pub use ablation::Ablation;
 pub use config::{Config, ConfigError, Schedule};

@@ -15,6 +15,7 @@ use rgbd_io::{Image, Intrinsics, Mask, RgbdFrame};
 use crate::{
     config::{Config, PreprocessConfig},
     depth,
+    zoom::{zoom_bilinear, zoom_for, zoom_nearest},
 };
 
 /// Pixels around the mask's box that stay in the crop: context for point tracks and for the field's ring rays.
@@ -34,6 +35,8 @@ pub struct Observation {
     pub intrinsics: Intrinsics,
     /// Top-left pixel of the crop in the working image.
     pub origin: [usize; 2],
+    /// How many times the crop is enlarged: point tracks need a small object to be larger than their windows.
+    pub zoom: usize,
     /// Object mask after erosion.
     pub mask: Mask,
     /// Camera-frame points (metres) of the object, zero where there is no reading.
@@ -46,7 +49,7 @@ pub struct Observation {
     pub dense: DenseView,
     /// Colour, depth and mask of the crop for the field.
     pub images: Arc<FieldImages>,
-    /// Object pixels with depth.
+    /// Object pixels with depth, counted in the working image.
     pub valid: usize,
     /// Evenly spread points with normals, camera frame: what visibility tests look at.
     pub samples: Vec<([f32; 3], [f32; 3])>,
@@ -88,10 +91,12 @@ impl Observation {
         let bounds = mask_box(&eroded, p.min_mask_pixels).ok_or(Unusable::NoMask)?;
         let [x0, y0, width, height] = with_margin(bounds, eroded.size());
 
-        let crop_mask = crop(&eroded, [x0, y0, width, height]);
-        let color = crop(&working.color, [x0, y0, width, height]);
-        let raw = crop(&working.depth, [x0, y0, width, height]);
-        let intrinsics = working.intrinsics.cropped(x0, y0);
+        let zoom = zoom_for(bounds);
+        let crop_mask = zoom_nearest(&crop(&eroded, [x0, y0, width, height]), zoom);
+        let color = zoom_bilinear(&crop(&working.color, [x0, y0, width, height]), zoom);
+        let raw = zoom_nearest(&crop(&working.depth, [x0, y0, width, height]), zoom);
+        let intrinsics = working.intrinsics.cropped(x0, y0).scaled(zoom as f64, zoom as f64);
+        let (width, height) = crop_mask.size();
 
         let once = depth::smooth(&raw, &crop_mask, p.smoothing_gate);
         let mut clean = depth::smooth(&once, &crop_mask, p.smoothing_gate);
@@ -99,18 +104,19 @@ impl Observation {
         let mut normals = depth::normals(&points);
         depth::drop_grazing(&mut clean, &mut points, &mut normals, p.grazing_deg);
 
-        let valid = clean.pixels().iter().filter(|d| **d > 0.0).count();
+        let valid = clean.pixels().iter().filter(|d| **d > 0.0).count() / (zoom * zoom);
         if valid < p.min_mask_pixels / 2 {
             return Err(Unusable::NoDepth);
         }
         let samples = spread_samples(&points, &normals);
-        let dense = downscale(&points, &normals, &intrinsics, valid, config.graph.dense_pixels);
+        let dense = downscale(&points, &normals, &intrinsics, valid * zoom * zoom, config.graph.dense_pixels);
         let pyramid = Pyramid::new(to_gray(&color), pyramid_levels(width, height));
         let images = Arc::new(field_images(index, &color, &raw, &clean, &crop_mask, &intrinsics));
         Ok(Self {
             index,
             intrinsics,
             origin: [x0, y0],
+            zoom,
             mask: crop_mask,
             points,
             normals,
@@ -165,6 +171,12 @@ impl Observation {
         }
         let p = *self.points.get(nearest.0, nearest.1)?;
         (p[2] > 0.0).then_some((p, normal))
+    }
+
+    /// About `count` evenly spread points (camera frame, metres) to compare with a field.
+    pub(crate) fn sdf_points(&self, count: usize) -> Vec<[f32; 3]> {
+        let step = self.samples.len().div_ceil(count.max(1)).max(1);
+        self.samples.iter().step_by(step).map(|(p, _)| *p).collect()
     }
 
     /// Centre of the bounding box of the cloud in the camera frame, robust against stray readings (2 % at each end).

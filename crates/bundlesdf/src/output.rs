@@ -228,7 +228,10 @@ fn remove_earlier_run(root: &Path) -> std::io::Result<()> {
             }
         }
     }
-    for name in FILES {
+    if root.join(crate::export::SIM).join("object.urdf").is_file() {
+        fs::remove_dir_all(root.join(crate::export::SIM))?;
+    }
+    for name in FILES.into_iter().chain(crate::export::FILES) {
         match fs::remove_file(root.join(name)) {
             Err(e) if e.kind() != std::io::ErrorKind::NotFound => return Err(e),
             _ => {}

@@ -34,6 +34,7 @@ mod nearest;
 mod pose;
 mod protocol;
 mod sampling;
+mod summary;
 mod visibility;
 
 pub use auc::{auc, recall_curve};
@@ -43,6 +44,7 @@ pub use mesh::{MeshRef, keep_faces};
 pub use pose::{ModelPoints, add, add_s, alignment, rebase, rotation_error, translation_error};
 pub use protocol::{MeshProtocol, PoseScores, score_mesh, score_poses};
 pub use sampling::{sample_surface, thin};
+pub use summary::Summary;
 pub use visibility::{Camera, visible_faces};
 
 #[cfg(doctest)]

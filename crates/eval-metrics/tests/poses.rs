@@ -4,7 +4,8 @@
 mod support;
 
 use eval_metrics::{
-    MeshRef, ModelPoints, add, add_s, auc, rebase, rotation_error, score_poses, translation_error,
+    MeshRef, ModelPoints, Summary, add, add_s, auc, rebase, recall_curve, rotation_error, score_poses,
+    translation_error,
 };
 use nalgebra::{Isometry3, Point3, Vector3};
 use proptest::prelude::*;
@@ -137,6 +138,42 @@ fn alignment_is_taken_at_the_first_frame() {
     let scores = score_poses(&pred, &gt, &model, 0.1);
     assert_eq!(scores.add_errors[0], 0.0);
     assert!(scores.add_errors[1..].iter().all(|e| (e - 0.01).abs() < 1e-12));
+}
+
+/// A long video without error and a short one that is lost after its first frame.
+#[test]
+fn videos_count_alike_or_by_their_frames() {
+    let model = ModelPoints::new(vec![[0.0; 3], [0.1, 0.0, 0.0]]).unwrap();
+    let gt = |n: usize| vec![Some(Isometry3::translation(0.0, 0.0, 1.0)); n];
+    let perfect = score_poses(&gt(30), &gt(30), &model, 0.1);
+    let lost = score_poses(&gt(1), &gt(10), &model, 0.1);
+    assert!((lost.add_auc - 10.0).abs() < 1e-9);
+    let videos = [perfect, lost];
+    let (means, pooled) = (Summary::per_video(&videos).unwrap(), Summary::pooled(&videos, 0.1).unwrap());
+    assert!((means.add_auc - 55.0).abs() < 1e-9 && (means.add_s_auc - 55.0).abs() < 1e-9);
+    // 31 of 40 frames.
+    assert!((pooled.add_auc - 77.5).abs() < 1e-9 && (pooled.add_s_auc - 77.5).abs() < 1e-9);
+    assert_eq!((Summary::per_video(&[]), Summary::pooled(&[], 0.1)), (None, None));
+    assert_eq!(Summary::pooled(&[score_poses(&[], &[], &model, 0.1)], 0.1), None);
+}
+
+/// What is plotted: recall over a threshold, and errors over time, at any upper end of the area.
+#[test]
+fn errors_over_time_and_recall_curves() {
+    let model = ModelPoints::new(vec![[0.0; 3]]).unwrap();
+    let gt: Vec<_> = (0..5).map(|_| Some(Isometry3::translation(0.0, 0.0, 1.0))).collect();
+    let drift = |i: usize| Isometry3::new(Vector3::x() * 0.1 * i as f64, Vector3::z() * 0.2 * i as f64);
+    let pred: Vec<_> = (0..5).map(|i| gt[i].map(|pose| pose * drift(i))).collect();
+    let scores = score_poses(&pred, &gt, &model, 0.5);
+    for i in 0..5 {
+        assert_eq!(scores.frames[i], i);
+        assert!((scores.translation_errors[i] - 0.1 * i as f64).abs() < 1e-12);
+        assert!((scores.rotation_errors[i] - 0.2 * i as f64).abs() < 1e-7);
+    }
+    // Five steps of a fifth of the range: recall 0.4, 0.6, 0.8, 1, and 1 to the end.
+    assert!((scores.add_auc - 76.0).abs() < 1e-9, "{}", scores.add_auc);
+    assert!((auc(&scores.add_errors, 0.25) - 52.0).abs() < 1e-9);
+    assert_eq!(recall_curve(&scores.add_errors, &[0.05, 0.15, 1.0]), [0.2, 0.4, 1.0]);
 }
 
 #[test]

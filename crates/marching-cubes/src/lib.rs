@@ -1,4 +1,4 @@
-//! Watertight marching cubes from dense and sparse grids, with component filter and OBJ/PLY writers.
+//! Watertight marching cubes from dense and sparse grids, with simplification, hole closing and PLY/OBJ/STL files.
 //!
 //! A signed distance field sampled on a lattice is turned into the triangle mesh of one of its level sets
 //! (Lorensen and Cline 1987). The original table leaves holes where neighbouring cells disagree about a face, and
@@ -25,18 +25,26 @@
 //! into loops, and loops are triangulated without a diagonal inside a face, so no edge can gain a third triangle.
 //! One vertex is made for each lattice edge that the surface crosses, found with bit operations on 64 signs at a
 //! time, so vertices are shared by construction and nothing is welded afterwards.
+//!
+//! What follows extraction keeps the surface a manifold: [`TriMesh::largest_component`], [`TriMesh::closed`] for holes,
+//! and [`TriMesh::simplified`], which collapses edges by quadric error.
 
+mod close;
 mod components;
 mod dense;
 mod mesh;
+mod quadric;
+mod read;
+mod simplify;
 mod sparse;
 mod table;
 mod write;
 
 pub use dense::{extract_dense, extract_fn};
 pub use mesh::TriMesh;
+pub use read::{PlyError, read_ply};
 pub use sparse::SparseGrid;
-pub use write::{write_obj, write_ply};
+pub use write::{write_obj, write_ply, write_ply_with, write_stl};
 
 #[cfg(doctest)]
 #[doc = include_str!("../README.md")]

@@ -204,23 +204,23 @@ pub(crate) fn usable_lattice(origin: [f32; 3], spacing: f32) -> bool {
     spacing > 0.0 && spacing.is_finite() && origin.iter().all(|v| v.is_finite())
 }
 
-fn sub(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
+pub(crate) fn sub(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
     std::array::from_fn(|i| a[i] - b[i])
 }
 
-fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
+pub(crate) fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
     a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 }
 
-fn cross(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
+pub(crate) fn cross(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
     [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 }
 
-fn norm(a: [f64; 3]) -> f64 {
+pub(crate) fn norm(a: [f64; 3]) -> f64 {
     dot(a, a).sqrt()
 }
 
 /// Normal of a triangle with twice its area as length.
-fn double_area_normal([a, b, c]: &[[f64; 3]; 3]) -> [f64; 3] {
+pub(crate) fn double_area_normal([a, b, c]: &[[f64; 3]; 3]) -> [f64; 3] {
     cross(sub(*b, *a), sub(*c, *a))
 }

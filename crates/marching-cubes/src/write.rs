@@ -1,6 +1,7 @@
 //! Mesh files, written to any `std::io::Write`.
 
 use crate::TriMesh;
+use crate::mesh::{double_area_normal, norm};
 use std::io::{Error, ErrorKind, Result, Write};
 
 /// Writes binary little-endian PLY: `x y z`, then `nx ny nz` and `red green blue` when the mesh has them, and faces as
@@ -9,7 +10,24 @@ use std::io::{Error, ErrorKind, Result, Write};
 /// # Errors
 /// From the writer, and `InvalidInput` when a triangle names a missing vertex (nothing is written then).
 pub fn write_ply(mesh: &TriMesh, out: &mut impl Write) -> Result<()> {
+    write_ply_with(mesh, &[], out)
+}
+
+/// [`write_ply`] with further `float` properties of the vertices: their names, and a value per vertex each.
+///
+/// # Errors
+/// As [`write_ply`], and when a property hasn't one value per vertex or its name isn't one word.
+pub fn write_ply_with(mesh: &TriMesh, extra: &[(&str, &[f32])], out: &mut impl Write) -> Result<()> {
     check(mesh)?;
+    for (name, values) in extra {
+        let word = !name.is_empty() && name.chars().all(|c| c.is_ascii_graphic());
+        if !word || values.len() != mesh.vertices.len() {
+            return Err(Error::new(
+                ErrorKind::InvalidInput,
+                format!("property {name:?} has {} values for {} vertices", values.len(), mesh.vertices.len()),
+            ));
+        }
+    }
     let (normals, colors) = (mesh.has_normals(), mesh.has_colors());
     let mut header =
         format!("ply\nformat binary_little_endian 1.0\nelement vertex {}\n", mesh.vertices.len());
@@ -23,6 +41,7 @@ pub fn write_ply(mesh: &TriMesh, out: &mut impl Write) -> Result<()> {
     if colors {
         header += &properties("uchar", &["red", "green", "blue"]);
     }
+    extra.iter().for_each(|(name, _)| header += &properties("float", &[name]));
     header += &format!(
         "element face {}\nproperty list uchar int vertex_indices\nend_header\n",
         mesh.triangles.len()
@@ -39,6 +58,7 @@ pub fn write_ply(mesh: &TriMesh, out: &mut impl Write) -> Result<()> {
         if colors {
             row.extend(mesh.colors[i]);
         }
+        extra.iter().for_each(|(_, values)| row.extend(values[i].to_le_bytes()));
         out.write_all(&row)?;
     }
     for t in &mesh.triangles {
@@ -80,6 +100,31 @@ pub fn write_obj(mesh: &TriMesh, out: &mut impl Write) -> Result<()> {
         }
     }
     Ok(())
+}
+
+/// Writes binary STL: triangles with their normals; nothing of colour or of shared vertices survives in this format.
+///
+/// # Errors
+/// From the writer, and `InvalidInput` when a triangle names a missing vertex (nothing is written then).
+pub fn write_stl(mesh: &TriMesh, out: &mut impl Write) -> Result<()> {
+    check(mesh)?;
+    // Readers take a file whose header starts with "solid" for text.
+    let mut bytes = b"binary STL".to_vec();
+    bytes.resize(80, b' ');
+    let count = u32::try_from(mesh.triangles.len())
+        .map_err(|_| Error::new(ErrorKind::InvalidInput, "more triangles than an STL file can count"))?;
+    bytes.extend(count.to_le_bytes());
+    for t in &mesh.triangles {
+        let corners = t.map(|i| mesh.vertices[i as usize]);
+        let n = double_area_normal(&corners.map(|c| c.map(f64::from)));
+        let length = norm(n);
+        let n = if length > 0.0 { n.map(|v| (v / length) as f32) } else { [0.0; 3] };
+        for v in n.iter().chain(corners.as_flattened()) {
+            bytes.extend(v.to_le_bytes());
+        }
+        bytes.extend([0, 0]);
+    }
+    out.write_all(&bytes)
 }
 
 fn check(mesh: &TriMesh) -> Result<()> {

@@ -119,7 +119,14 @@ fn main() -> Result<(), &'static str> {
         .map(|i| {
             let partner = &matches[if i % 2 == 0 { i } else { (i * 7 + 3) % matches.len() }];
             let (a, b) = (lift(matches[i].a), lift(partner.b));
-            LiftedMatch { a, normal_a: normal, b, normal_b: normal, weight: matches[i].confidence }
+            LiftedMatch {
+                a,
+                normal_a: normal,
+                b,
+                normal_b: normal,
+                sight: [0.0; 3],
+                weight: matches[i].confidence,
+            }
         })
         .collect();
     let (model, ransac_ms) = timed(|| ransac::estimate(&lifted, &RansacOptions::default()));

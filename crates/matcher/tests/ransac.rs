@@ -38,6 +38,7 @@ fn matches(n: usize, outliers: f64, truth: &Isometry3<f64>, seed: u64) -> Vec<Li
                 normal_a: to_f32(normal),
                 b: to_f32(b),
                 normal_b: to_f32(normal_b),
+                sight: [0.0; 3],
                 weight: 1.0,
             }
         })
@@ -153,7 +154,14 @@ fn degenerate_matches_have_no_model() {
     assert!(none(&[vec![good[0]; 30], vec![good[1]; 30]].concat()), "two matches thirty times each");
     let line = |i: usize| [0.01 * i as f32, 0.005 * i as f32, 0.5];
     let collinear: Vec<_> = (0..40)
-        .map(|i| LiftedMatch { a: line(i), b: line(i), normal_a: [0.0; 3], normal_b: [0.0; 3], weight: 1.0 })
+        .map(|i| LiftedMatch {
+            a: line(i),
+            b: line(i),
+            normal_a: [0.0; 3],
+            normal_b: [0.0; 3],
+            sight: [0.0; 3],
+            weight: 1.0,
+        })
         .collect();
     assert!(none(&collinear), "all on a line");
     let broken = |f: fn(&mut LiftedMatch)| {

@@ -25,6 +25,8 @@
 //! quaternion, which is half of the angle: for a file made for that, divide the information on rotations by four and
 //! that between rotations and translations by two.
 
+#![warn(clippy::indexing_slicing)]
+
 use std::collections::HashMap;
 use std::io::{self, Write};
 
@@ -177,7 +179,8 @@ pub fn write(file: &File, out: &mut impl Write) -> io::Result<()> {
         write_pose(&edge.from_from_to, out)?;
         for row in 0..6 {
             for column in row..6 {
-                write!(out, " {}", edge.information[(row, column)])?;
+                let value = edge.information.get((row, column)).copied().unwrap_or_default();
+                write!(out, " {value}")?;
             }
         }
         writeln!(out)?;
@@ -222,15 +225,12 @@ fn edge(mut fields: Fields<'_>) -> Result<Edge, Problem> {
         return Err(Problem::SelfEdge(from));
     }
     let measured = pose(&numbers(&mut fields)?)?;
-    let mut triangle = numbers::<21>(&mut fields)?.into_iter();
-    let mut information = Matrix6::zeros();
-    for row in 0..6 {
-        for column in row..6 {
-            let value = triangle.next().unwrap_or_default();
-            information[(row, column)] = value;
-            information[(column, row)] = value;
-        }
-    }
+    // Before row r of the triangle there are 6 + 5 + ... values in r rows, and its own begin at column r.
+    let triangle = numbers::<21>(&mut fields)?;
+    let information = Matrix6::from_fn(|i, j| {
+        let (row, column) = (i.min(j), i.max(j));
+        triangle.get(row * (11 - row) / 2 + column).copied().unwrap_or_default()
+    });
     if !is_information(&information) {
         return Err(Problem::Information);
     }
@@ -275,5 +275,5 @@ fn pose(values: &[f64; 7]) -> Result<Isometry3<f64>, Problem> {
 
 /// The beginning of a field, for messages.
 fn excerpt(field: &[u8]) -> String {
-    String::from_utf8_lossy(&field[..field.len().min(40)]).into_owned()
+    String::from_utf8_lossy(field.get(..40).unwrap_or(field)).into_owned()
 }

@@ -1,5 +1,7 @@
 //! The camera matrix as a text file.
 
+#![warn(clippy::indexing_slicing)]
+
 use std::path::Path;
 
 use crate::{Error, Intrinsics};

@@ -1,5 +1,7 @@
 //! Image files: colour, depth and masks in, PNG out.
 
+#![warn(clippy::indexing_slicing)]
+
 use std::io::Cursor;
 use std::path::Path;
 
@@ -16,6 +18,10 @@ use crate::{Error, Image, Mask};
 const MAX_PIXELS: u64 = 64_000_000;
 const MAX_FILE_BYTES: u64 = 512 << 20;
 
+/// Most that a byte of a file can hold, decoded. Deflate repeats at most 1032 bytes per byte, of which each may hold
+/// eight pixels of one bit; JPEG stays below. A header that claims more lies, and no memory is taken for it.
+const MAX_EXPANSION: u64 = 8 * 1032;
+
 const EXPORT_AGAIN: &str = "export this image again";
 const DEPTH_REMEDY: &str = "save depth as a single-channel 16-bit PNG in millimetres, 0 where missing";
 
@@ -27,7 +33,7 @@ pub fn read_color(path: &Path) -> Result<Image<[u8; 3]>, Error> {
     let (_, decoded) = decode(path)?;
     let rgb = decoded.into_rgb8();
     let (width, height) = (rgb.width() as usize, rgb.height() as usize);
-    let pixels = rgb.into_raw().chunks_exact(3).map(|p| [p[0], p[1], p[2]]).collect();
+    let pixels = rgb.into_raw().as_chunks::<3>().0.to_vec();
     sized(path, width, height, pixels)
 }
 
@@ -101,7 +107,8 @@ fn nonzero(path: &Path, decoded: DynamicImage) -> Result<Mask, Error> {
         // In 16 bits per channel, so that small 16-bit labels don't round to zero.
         other => {
             let rgba = other.into_rgba16().into_raw();
-            rgba.chunks_exact(4).map(|p| object(p[3] != 0 && p[..3].iter().any(|v| *v != 0))).collect()
+            let object_at = |[r, g, b, a]: &[u16; 4]| object(*a != 0 && (*r | *g | *b) != 0);
+            rgba.as_chunks::<4>().0.iter().map(object_at).collect()
         }
     };
     sized(path, width, height, pixels)
@@ -157,6 +164,10 @@ fn decode(path: &Path) -> Result<(ImageFormat, DynamicImage), Error> {
     }
     if width == 0 || height == 0 {
         return Err(Error::new(path, "has no pixels", EXPORT_AGAIN));
+    }
+    if decoder.total_bytes() > MAX_EXPANSION * bytes.len() as u64 {
+        let problem = format!("claims {width}x{height} pixels, which {} bytes can't hold", bytes.len());
+        return Err(Error::new(path, problem, "the image is damaged: export or copy it again"));
     }
     Ok((format, DynamicImage::from_decoder(decoder).map_err(failed)?))
 }

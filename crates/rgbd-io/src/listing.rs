@@ -1,5 +1,7 @@
 //! Files of a folder in natural order.
 
+#![warn(clippy::indexing_slicing)]
+
 use std::cmp::Ordering;
 use std::path::{Path, PathBuf};
 
@@ -30,16 +32,16 @@ pub(crate) fn files(dir: &Path, extensions: &[&str]) -> Result<Vec<Listed>, Erro
 pub(crate) fn natural_cmp(a: &str, b: &str) -> Ordering {
     let (mut x, mut y) = (a.as_bytes(), b.as_bytes());
     loop {
-        let order = match (x.first(), y.first()) {
-            (None, None) => return a.cmp(b),
-            (None, Some(_)) => Ordering::Less,
-            (Some(_), None) => Ordering::Greater,
-            (Some(p), Some(q)) if p.is_ascii_digit() && q.is_ascii_digit() => {
+        let order = match (x, y) {
+            ([], []) => return a.cmp(b),
+            ([], _) => Ordering::Less,
+            (_, []) => Ordering::Greater,
+            ([p, ..], [q, ..]) if p.is_ascii_digit() && q.is_ascii_digit() => {
                 let (m, n) = (take_number(&mut x), take_number(&mut y));
                 m.len().cmp(&n.len()).then_with(|| m.cmp(n))
             }
-            (Some(p), Some(q)) => {
-                (x, y) = (&x[1..], &y[1..]);
+            ([p, rest_x @ ..], [q, rest_y @ ..]) => {
+                (x, y) = (rest_x, rest_y);
                 p.cmp(q)
             }
         };
@@ -55,7 +57,7 @@ fn take_number<'a>(bytes: &mut &'a [u8]) -> &'a [u8] {
     let (digits, rest) = bytes.split_at(end);
     *bytes = rest;
     let zeros = digits.iter().take_while(|b| **b == b'0').count();
-    &digits[zeros..]
+    digits.get(zeros..).unwrap_or_default()
 }
 
 #[cfg(test)]

@@ -2,6 +2,8 @@
 //!
 //! On disk a pose is `cam_from_obj` (object to camera, metres): four rows of four numbers.
 
+#![warn(clippy::indexing_slicing)]
+
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -34,20 +36,20 @@ pub fn read_pose(path: &Path) -> Result<Isometry3<f64>, Error> {
 pub fn parse_pose(text: &str) -> Result<Isometry3<f64>, Error> {
     let fail = |problem: String| Error::new("pose", problem, REMEDY);
     let n = numbers(text).map_err(fail)?;
-    if n.len() != 16 {
+    let &[m11, m12, m13, tx, m21, m22, m23, ty, m31, m32, m33, tz, b1, b2, b3, b4] = n.as_slice() else {
         return Err(fail(format!("holds {} numbers instead of 16", n.len())));
-    }
+    };
     if n.iter().any(|v| !v.is_finite()) {
         return Err(fail("holds a number that isn't finite".into()));
     }
-    if (n[15] - 1.0).abs() > 1e-6 || n[12..15].iter().any(|v| v.abs() > 1e-6) {
-        let transposed = n[3] == 0.0 && n[7] == 0.0 && n[11] == 0.0;
+    if (b4 - 1.0).abs() > 1e-6 || [b1, b2, b3].iter().any(|v| v.abs() > 1e-6) {
+        let transposed = tx == 0.0 && ty == 0.0 && tz == 0.0;
         let hint = if transposed { " (the matrix is transposed)" } else { "" };
-        return Err(fail(format!("has the last row {} {} {} {}{hint}", n[12], n[13], n[14], n[15])));
+        return Err(fail(format!("has the last row {b1} {b2} {b3} {b4}{hint}")));
     }
-    let m = Matrix3::new(n[0], n[1], n[2], n[4], n[5], n[6], n[8], n[9], n[10]);
+    let m = Matrix3::new(m11, m12, m13, m21, m22, m23, m31, m32, m33);
     let rotation = nearest_rotation(&m).map_err(fail)?;
-    Ok(Isometry3::from_parts(Translation3::new(n[3], n[7], n[11]), rotation))
+    Ok(Isometry3::from_parts(Translation3::new(tx, ty, tz), rotation))
 }
 
 /// The rotation nearest to a matrix that already is one up to rounding.
@@ -75,13 +77,9 @@ pub(crate) fn nearest_rotation(m: &Matrix3<f64>) -> Result<UnitQuaternion<f64>, 
 pub fn format_pose(pose: &Isometry3<f64>) -> String {
     let m = pose.to_homogeneous();
     let mut text = String::with_capacity(224);
-    for row in 0..4 {
-        for column in 0..4 {
-            if column > 0 {
-                text.push(' ');
-            }
-            text.push_str(&nine_digits(m[(row, column)]));
-        }
+    for row in m.row_iter() {
+        let numbers: Vec<String> = row.iter().map(|v| nine_digits(*v)).collect();
+        text.push_str(&numbers.join(" "));
         text.push('\n');
     }
     text

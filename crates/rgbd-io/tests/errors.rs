@@ -192,6 +192,14 @@ fn image_cases() -> Vec<Case> {
             &["rgb/0000.png", "60000x60000", "resize"],
         ),
         case(
+            "a header of more pixels than the file can hold",
+            |d| {
+                let png = support::with_header_size(support::png_grey8(40, 30, 1), 7_000, 7_000);
+                fs::write(d.join("rgb/0000.png"), png).unwrap();
+            },
+            &["rgb/0000.png", "7000x7000", "can't hold", "export or copy"],
+        ),
+        case(
             "no pixels",
             |d| {
                 let png = support::with_header_size(support::png_grey8(40, 30, 1), 0, 30);

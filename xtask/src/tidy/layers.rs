@@ -3,11 +3,12 @@
 use super::tree::Tree;
 
 /// The floors, lowest first; names are folders, and keys in `[workspace.dependencies]`.
-const FLOORS: [&[&str]; 4] = [
+const FLOORS: [&[&str]; 5] = [
     &["se3-lie", "rgbd-io"],
     &["octree-sampler", "matcher", "marching-cubes", "eval-metrics"],
     &["neural-field", "posegraph", "mask-tracker", "rgbd-synth", "baselines"],
     &["bundlesdf", "xtask"],
+    &["fuzz-targets"],
 ];
 
 fn floor(name: &str) -> Option<usize> {

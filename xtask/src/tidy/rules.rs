@@ -6,7 +6,8 @@ use super::tree::{File, Tree};
 /// A source file with more lines has more than one idea in it.
 const MAX_LINES: usize = 600;
 /// Only these touch the file system.
-const FILE_CRATES: [&str; 4] = ["crates/rgbd-io", "crates/bundlesdf", "crates/rgbd-synth", "xtask"];
+const FILE_CRATES: [&str; 5] =
+    ["crates/rgbd-io", "crates/bundlesdf", "crates/rgbd-synth", "crates/fuzz-targets", "xtask"];
 /// Only files of these names hold unsafe code.
 const UNSAFE_FILES: [&str; 2] = ["simd.rs", "gpu.rs"];
 

@@ -4,7 +4,7 @@ use std::io;
 use std::path::Path;
 
 /// Folders that hold no sources; the same as in .gitignore.
-const SKIPPED: [&str; 4] = ["target", ".git", "out", "bundlesdf-demo"];
+const SKIPPED: [&str; 6] = ["target", ".git", "out", "bundlesdf-demo", "corpus", "artifacts"];
 /// No source is larger than this, bytes.
 const LARGEST: u64 = 2 << 20;
 

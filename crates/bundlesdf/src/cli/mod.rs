@@ -2,6 +2,7 @@
 
 mod check;
 mod demo;
+mod export;
 mod progress;
 mod refine;
 mod run;
@@ -30,6 +31,7 @@ Examples:
   bundlesdf run VIDEO --out OUT           track VIDEO from the mask of its first frame
   bundlesdf run VIDEO --out OUT --masks all --schedule realtime
   bundlesdf refine OUT                    improve the mesh and all poses of a run that has ended
+  bundlesdf export OUT --canonical --sim  write textured meshes and simulator files of a finished run
 
 VIDEO is a folder with rgb/*.png|jpg, depth/*.png (16 bit, millimetres, registered to colour), masks/*.png (at least
 the first frame's; white = object) and cam_K.txt (3x3 intrinsics of the colour camera, pixels).
@@ -57,6 +59,8 @@ enum Command {
     Refine(refine::RefineArgs),
     /// Look at a video folder: what is in it, what is wrong, and what to do about it.
     Check(CheckArgs),
+    /// Turn the results of a run into assets: textured GLB, OBJ, PLY and STL, and bodies for simulators.
+    Export(export::ExportArgs),
 }
 
 #[derive(Args, Debug)]
@@ -213,6 +217,7 @@ pub(crate) fn main() -> ExitCode {
         Command::Run(args) => run::run(args),
         Command::Refine(args) => refine::refine(args),
         Command::Check(args) => check::check(args),
+        Command::Export(args) => export::run(args),
     };
     outcome.unwrap_or_else(|error| {
         let text = format!("{error:#}").replace('\n', " ");

@@ -31,7 +31,7 @@ pub(super) struct CoarsePose {
 }
 
 /// How far a motion may go from its guess.
-#[derive(Clone, Copy)]
+#[derive(Clone, Copy, Debug)]
 pub(super) struct Gates {
     pub(super) translation: f64,
     pub(super) rotation: f64,
@@ -50,8 +50,47 @@ impl Gates {
     /// Small corrections of a pose that is already known roughly.
     pub(super) const CORRECTION: Self = Self { translation: 0.03, rotation: 0.26 };
 
+    /// What a keyframe may have drifted against the others.
+    pub(super) const DRIFT: Self = Self { translation: 0.015, rotation: 0.09 };
+
     /// No limit: after a loss.
     pub(super) const NONE: Self = Self { translation: f64::INFINITY, rotation: f64::INFINITY };
+}
+
+/// What a motion between two observations must fulfil.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Search<'a> {
+    pub(super) config: &'a CoarseConfig,
+    pub(super) gates: Gates,
+    pub(super) min_inliers: usize,
+    /// Focal length of the new frame's camera (pixels).
+    pub(super) focal: f64,
+    /// Swing between the two views (radians), or how large it may be: a depth error shows across the line of sight
+    /// once the view has turned.
+    pub(super) swing: f64,
+    pub(super) seed: u64,
+}
+
+impl Search<'_> {
+    /// Swing that is allowed for where nothing is known about it.
+    pub(super) const ANY_SWING: f64 = 0.5;
+    /// Swing that is usual between a frame and the keyframes it is compared with.
+    pub(super) const MEMORY_SWING: f64 = 0.3;
+
+    fn ransac(&self, depth: f64) -> RansacOptions {
+        let c = self.config;
+        let pixel = depth / self.focal;
+        RansacOptions {
+            hypotheses: c.hypotheses,
+            inlier_distance: c.inlier_distance * (depth_sigma(depth) / depth_sigma(0.5)).max(1.0),
+            inlier_lateral: c.inlier_lateral_px * pixel + 3.0 * depth_sigma(depth) * self.swing.sin(),
+            inlier_normal_angle: c.inlier_normal_deg.to_radians(),
+            max_translation: self.gates.translation,
+            max_rotation: self.gates.rotation,
+            min_inliers: self.min_inliers,
+            seed: self.seed,
+        }
+    }
 }
 
 /// Rigid motion from `matches` between `reference` (a, at `obj_from_reference`) and the new frame (b, guessed at
@@ -60,35 +99,39 @@ pub(super) fn coarse_from_matches(
     matches: Vec<Correspondence>,
     obj_from_reference: &Isometry3<f64>,
     guess: &Isometry3<f64>,
-    gates: Gates,
-    min_inliers: usize,
-    config: &CoarseConfig,
-    seed: u64,
+    search: &Search<'_>,
 ) -> Option<CoarsePose> {
-    if matches.len() < min_inliers {
+    if matches.len() < search.min_inliers {
         return None;
     }
-    // The motion wanted maps the new frame's points onto the reference's, so the new frame is RANSAC's "a".
-    let lifted: Vec<_> = matches
-        .iter()
-        .map(|m| {
-            let swapped = Correspondence { a: m.b, normal_a: m.normal_b, b: m.a, normal_b: m.normal_a, ..*m };
-            swapped.lifted(guess, obj_from_reference)
-        })
-        .collect();
-    let depth = matches.iter().map(|m| f64::from(m.b[2])).sum::<f64>() / matches.len() as f64;
-    let options = RansacOptions {
-        hypotheses: config.hypotheses,
-        inlier_distance: config.inlier_distance * (depth_sigma(depth) / depth_sigma(0.5)).max(1.0),
-        inlier_normal_angle: config.inlier_normal_deg.to_radians(),
-        max_translation: gates.translation,
-        max_rotation: gates.rotation,
-        min_inliers,
-        seed,
+    let groups = [(obj_from_reference, matches.as_slice())];
+    let (pose, agreeing) = joint_motion(&groups, guess, search)?;
+    Some(CoarsePose { pose, matches: agreeing.into_iter().flatten().collect() })
+}
+
+/// The pose (`obj_from_cam`) of the new frame, guessed at `guess`, on which most matches with several posed
+/// observations agree, with those that agree of each group. A group has its observation's pose and matches (a: the
+/// observation, b: the new frame).
+pub(super) fn joint_motion(
+    groups: &[(&Isometry3<f64>, &[Correspondence])],
+    guess: &Isometry3<f64>,
+    search: &Search<'_>,
+) -> Option<(Isometry3<f64>, Vec<Vec<Correspondence>>)> {
+    // The motion wanted maps the new frame's points onto the references', so the new frame is RANSAC's "a".
+    let lift = |pose: &Isometry3<f64>, m: &Correspondence| {
+        let swapped = Correspondence { a: m.b, normal_a: m.normal_b, b: m.a, normal_b: m.normal_a, ..*m };
+        swapped.lifted(guess, pose)
     };
-    let model = estimate(&lifted, &options)?;
-    let matches = model.inliers.iter().filter_map(|i| matches.get(*i).copied()).collect();
-    Some(CoarsePose { pose: model.motion * guess, matches })
+    let all = || groups.iter().enumerate().flat_map(|(g, (pose, ms))| ms.iter().map(move |m| (g, *pose, m)));
+    let lifted: Vec<_> = all().map(|(_, pose, m)| lift(pose, m)).collect();
+    let depth = all().map(|(_, _, m)| f64::from(m.b[2])).sum::<f64>() / lifted.len().max(1) as f64;
+    let model = estimate(&lifted, &search.ransac(depth))?;
+    let mut agreeing = vec![Vec::new(); groups.len()];
+    let matches: Vec<_> = all().map(|(g, _, m)| (g, *m)).collect();
+    for (group, m) in model.inliers.iter().filter_map(|i| matches.get(*i)) {
+        agreeing[*group].push(*m);
+    }
+    Some((model.motion * guess, agreeing))
 }
 
 /// Point tracks from `reference` into `observation`, tried from each guess until one is clearly supported; the best
@@ -97,19 +140,18 @@ pub(super) fn coarse_from_tracks(
     reference: (&Observation, &Isometry3<f64>),
     observation: &Observation,
     guesses: &[Isometry3<f64>],
-    gates: Gates,
-    config: &CoarseConfig,
-    seed: u64,
+    search: &Search<'_>,
 ) -> Option<CoarsePose> {
     /// With this share of the corners agreeing no other guess can be much better.
     const CLEAR_SHARE: f64 = 0.5;
     let (from, obj_from_reference) = reference;
+    let config = search.config;
     let mut best: Option<CoarsePose> = None;
     for guess in guesses {
         let to_from = guess.inv_mul(obj_from_reference);
         let matches = guided_tracks(from, observation, &to_from, config.max_corners, &KltOptions::default());
-        let found =
-            coarse_from_matches(matches, obj_from_reference, guess, gates, config.min_inliers, config, seed);
+        let swing = swing_angle(&obj_from_reference.rotation, &guess.rotation);
+        let found = coarse_from_matches(matches, obj_from_reference, guess, &Search { swing, ..*search });
         if let Some(found) = found
             && best.as_ref().is_none_or(|b| b.matches.len() < found.matches.len())
         {
@@ -199,10 +241,14 @@ pub(super) fn relocalise(
             matches,
             &keyframe.obj_from_cam,
             &keyframe.obj_from_cam,
-            Gates::NONE,
-            config.coarse.min_relocalise_inliers,
-            &config.coarse,
-            config.seed ^ keyframe.index as u64,
+            &Search {
+                config: &config.coarse,
+                gates: Gates::NONE,
+                min_inliers: config.coarse.min_relocalise_inliers,
+                focal: observation.intrinsics.fx,
+                swing: Search::ANY_SWING,
+                seed: config.seed ^ keyframe.index as u64,
+            },
         );
         let Some(found) = found else { continue };
         if best.as_ref().is_some_and(|b| b.matches.len() >= found.matches.len()) {

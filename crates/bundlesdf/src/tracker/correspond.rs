@@ -29,9 +29,15 @@ impl Correspondence {
             normal_a: moved_vector(obj_from_a, self.normal_a),
             b: moved_point(obj_from_b, self.b),
             normal_b: moved_vector(obj_from_b, self.normal_b),
+            sight: moved_vector(obj_from_b, unit(self.b)),
             weight: self.weight,
         }
     }
+}
+
+fn unit(v: [f32; 3]) -> [f32; 3] {
+    let length = v.iter().map(|c| c * c).sum::<f32>().sqrt();
+    if length > 0.0 { v.map(|c| c / length) } else { [0.0; 3] }
 }
 
 /// Tracks up to `max_corners` corners of `from` into `to`; `to_from` is the guess of the relative motion (maps points

@@ -2,12 +2,13 @@
 
 use nalgebra::Isometry3;
 use neural_field::TrainedField;
-use posegraph::{DenseEdge, FeatureEdge, Node, PoseGraph, SdfModel, SdfTerm, SolveOptions, solve};
+use posegraph::{DenseEdge, FeatureEdge, Node, PoseGraph, SdfTerm, SolveOptions, solve};
 use se3_lie::distance::swing_angle;
 
 use super::correspond::Correspondence;
 use crate::{
     config::GraphConfig,
+    field_model::FieldModel,
     observation::Observation,
     pool::{MemoryEdge, MemoryPool},
 };
@@ -34,19 +35,6 @@ pub(super) struct GraphResult {
     pub(super) pose: Isometry3<f64>,
     /// New poses of the keyframes that were free, by position in the pool.
     pub(super) moved: Vec<(usize, Isometry3<f64>)>,
-}
-
-struct FieldModel<'a>(&'a TrainedField);
-
-impl SdfModel for FieldModel<'_> {
-    fn sdf_and_gradient(&self, points: &[[f32; 3]], sdf: &mut [f32], gradient: &mut [[f32; 3]]) {
-        self.0.sdf_and_gradient(points, sdf, gradient);
-        // Beyond one truncation distance the field says "far" and not how far.
-        let limit = self.0.truncation() as f32;
-        for value in sdf.iter_mut().filter(|v| v.abs() > limit) {
-            *value = f32::NAN;
-        }
-    }
 }
 
 impl MemoryEdge {
@@ -92,7 +80,8 @@ impl GraphProblem<'_> {
             graph.add_dense_edge(DenseEdge { source: new, target: node }).ok()?;
         }
         if let Some(model) = &model {
-            graph.add_sdf_term(SdfTerm { node: new, points: self.sdf_points(), model }).ok()?;
+            let points = self.observation.sdf_points(self.config.sdf_points);
+            graph.add_sdf_term(SdfTerm { node: new, points, model }).ok()?;
         }
         let solution = solve(&graph, &self.options()).ok()?;
         let pose = *solution.poses.get(new)?;
@@ -103,6 +92,7 @@ impl GraphProblem<'_> {
             initial = solution.cost_initial,
             last = solution.cost_final,
             iterations = solution.iterations,
+            information = ?solution.information_eigenvalues.map(|e| e.map(|v| v.max(0.0).sqrt() as u32)),
             "pose graph"
         );
         Some(GraphResult { pose, moved })
@@ -153,12 +143,6 @@ impl GraphProblem<'_> {
         Some(())
     }
 
-    fn sdf_points(&self) -> Vec<[f32; 3]> {
-        let samples = &self.observation.samples;
-        let step = samples.len().div_ceil(self.config.sdf_points.max(1)).max(1);
-        samples.iter().step_by(step).map(|(p, _)| *p).collect()
-    }
-
     fn options(&self) -> SolveOptions {
         let c = self.config;
         SolveOptions {
@@ -169,7 +153,7 @@ impl GraphProblem<'_> {
             feature_huber: c.huber,
             dense_huber: c.huber,
             sdf_huber: c.huber,
-            covariance: false,
+            covariance: true,
             ..SolveOptions::default()
         }
     }

@@ -3,6 +3,7 @@
 mod coarse;
 mod correspond;
 mod graph;
+mod memory;
 mod motion;
 pub(crate) mod offline;
 mod result;
@@ -12,18 +13,15 @@ mod verify;
 use std::{sync::Arc, time::Instant};
 
 use mask_tracker::{Prior, Propagate, Segmentation, SurfacePoint, VideoSegmenter};
-use matcher::klt::KltOptions;
 use nalgebra::{Isometry3, Translation3};
 use neural_field::TrainedField;
-use rayon::prelude::*;
 use rgbd_io::{Image, Mask, RgbdFrame};
 
 use self::{
     coarse::{
-        CoarsePose, Descriptors, Gates, agreement_with_memory, coarse_from_matches, coarse_from_tracks,
-        relocalise, within,
+        CoarsePose, Descriptors, Gates, Search, agreement_with_memory, coarse_from_matches,
+        coarse_from_tracks, relocalise, within,
     },
-    correspond::guided_tracks,
     graph::{GraphProblem, GraphResult},
     motion::Motion,
 };
@@ -69,7 +67,8 @@ pub struct Tracker {
     new_keyframes: usize,
     next_index: usize,
     first_valid: usize,
-    /// No match has tied the pose to memory since a frame without matches: it may have slid over a symmetric part.
+    /// No match has tied the pose to memory since a frame without matches whose depth didn't fit everywhere: the pose
+    /// may have slid over a symmetric part.
     adrift: bool,
 }
 
@@ -247,7 +246,15 @@ impl Tracker {
             guesses.push(reference.pose);
         }
         let gates = Gates::between(c, gap);
-        let tracked = coarse_from_tracks(near, observation, &guesses, gates, c, seed);
+        let search = Search {
+            config: c,
+            gates,
+            min_inliers: c.min_inliers,
+            focal: observation.intrinsics.fx,
+            swing: Search::ANY_SWING,
+            seed,
+        };
+        let tracked = coarse_from_tracks(near, observation, &guesses, &search);
         let enough = |p: &CoarsePose| p.matches.len() >= 2 * c.min_inliers;
         if self.adrift
             && let Some(found) = relocalise(&self.pool, observation, &self.descriptors, &self.config)
@@ -258,8 +265,7 @@ impl Tracker {
             return tracked.map(|p| (p, false));
         }
         let matches = self.descriptors.with_reference(near, observation, &guesses[0]);
-        let matched =
-            coarse_from_matches(matches, &reference.pose, &reference.pose, gates, c.min_inliers, c, seed);
+        let matched = coarse_from_matches(matches, &reference.pose, &reference.pose, &search);
         let best = [tracked, matched].into_iter().flatten().max_by_key(|p| p.matches.len());
         if gap <= 1 && best.is_some() {
             return best.map(|p| (p, false));
@@ -288,7 +294,7 @@ impl Tracker {
             };
         }
         let selected = self.pool.select(&guess, &self.config.memory);
-        let edges = self.memory_edges(observation, &guess, &selected);
+        let (guess, edges) = self.memory_edges(observation, guess, coarse.as_ref(), &selected);
         let matched: usize = edges.iter().map(|(_, e)| e.older.len()).sum();
         let coarse_edge = coarse.as_ref().map(|c| MemoryEdge::from_matches(&c.matches));
         // Memory alone holds the pose when it can; the previous frame would only add its own drift.
@@ -325,30 +331,6 @@ impl Tracker {
         }
     }
 
-    /// Verified matches of the new frame with each selected keyframe.
-    fn memory_edges(
-        &self,
-        observation: &Observation,
-        guess: &Isometry3<f64>,
-        selected: &[usize],
-    ) -> Vec<(usize, MemoryEdge)> {
-        let (pool, config) = (&self.pool, &self.config);
-        let c = &config.coarse;
-        let edge = |position: &usize| {
-            let keyframe = pool.keyframes().get(*position)?;
-            let to_from = guess.inv_mul(&keyframe.obj_from_cam);
-            let options = KltOptions::default();
-            let tracks =
-                guided_tracks(&keyframe.observation, observation, &to_from, c.max_corners_memory, &options);
-            let seed = config.seed ^ ((observation.index as u64) << 20) ^ keyframe.index as u64;
-            let gates = Gates::CORRECTION;
-            let verified =
-                coarse_from_matches(tracks, &keyframe.obj_from_cam, guess, gates, c.min_inliers, c, seed)?;
-            Some((*position, MemoryEdge::from_matches(&verified.matches)))
-        };
-        selected.par_iter().filter_map(edge).collect()
-    }
-
     /// Decides the frame's status and, with it, what is kept of the frame.
     fn judge(
         &mut self,
@@ -360,6 +342,8 @@ impl Tracker {
         /// Less depth agreement than this contradicts the pose.
         const CONTRADICTED: f64 = 0.3;
         const CONVINCING: f64 = 0.5;
+        /// With as much depth agreement as this a pose needs no match to be believed.
+        const UNDISPUTED: f64 = 0.9;
         /// With less common surface than this the depth says nothing for or against.
         const MIN_OVERLAP: usize = 20;
         let agreement = agreement_with_memory(&self.pool, &observation, &estimate.pose);
@@ -379,13 +363,14 @@ impl Tracker {
             }
         }
         let tied = estimate.relocalised || estimate.memory_matches >= 2 * self.config.coarse.min_inliers;
-        self.adrift = !tied && (self.adrift || !enough);
+        self.adrift = !tied && (self.adrift || (!enough && share < UNDISPUTED));
         let observation = Arc::new(observation);
         let pose = estimate.pose;
         self.reference = Some(Reference { index, observation: observation.clone(), pose });
         self.motion.observe(index, &pose);
+        let believed = status == Status::Tracked || (status == Status::Weak && share >= UNDISPUTED);
         let keyframe = self.config.memory.enabled
-            && status == Status::Tracked
+            && believed
             && !self.adrift
             && observation.valid as f64 >= self.config.memory.min_valid_share * self.first_valid as f64
             && self.pool.is_new_view(&pose, &self.config.memory);

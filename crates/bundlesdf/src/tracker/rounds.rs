@@ -63,14 +63,15 @@ impl Tracker {
     fn submit(&mut self, steps: usize) {
         let settings = &self.config.field;
         let round = match settings.refiner {
-            Refiner::PoseGraph => Round::PoseGraph(self.config.graph.clone(), self.pool.all_edges()),
+            Refiner::PoseGraph => Round::PoseGraph,
             Refiner::Field | Refiner::None => Round::Field(field_config(&self.config, steps)),
         };
         let frames =
             self.pool.keyframes().iter().map(|k| (k.index, k.observation.clone(), k.obj_from_cam)).collect();
         self.new_keyframes = 0;
         if let Some(worker) = &mut self.worker {
-            worker.submit(FieldRequest { round, frames });
+            let (graph, edges) = (self.config.graph.clone(), self.pool.all_edges());
+            worker.submit(FieldRequest { round, graph, edges, frames });
         }
     }
 

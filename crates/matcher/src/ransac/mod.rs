@@ -23,6 +23,9 @@ pub struct RansacOptions {
     pub hypotheses: usize,
     /// Largest distance of a moved point of `a` to its point of `b`, metres.
     pub inlier_distance: f64,
+    /// Largest part of that distance across the line of sight, metres, where a match has one: a pixel tells direction
+    /// much better than depth. Larger than `inlier_distance` = not tested.
+    pub inlier_lateral: f64,
     /// Largest angle between the normals, radians; from pi on it is not tested.
     pub inlier_normal_angle: f64,
     /// Longest translation of a model, metres (in the object frame, whose origin is near the object's centre);
@@ -41,6 +44,7 @@ impl Default for RansacOptions {
         Self {
             hypotheses: 1000,
             inlier_distance: 0.005,
+            inlier_lateral: f64::INFINITY,
             inlier_normal_angle: 30_f64.to_radians(),
             max_translation: f64::INFINITY,
             max_rotation: f64::INFINITY,
@@ -61,13 +65,15 @@ pub struct LiftedMatch {
     pub b: [f32; 3],
     /// Its normal; zero if unknown.
     pub normal_b: [f32; 3],
+    /// Unit line of sight at `b`, either way round; zero if unknown, then all directions count the same.
+    pub sight: [f32; 3],
     /// Weight of the match in score and fit, positive; matches with another weight or with a NaN are left out.
     pub weight: f32,
 }
 
 impl LiftedMatch {
     fn is_usable(&self) -> bool {
-        let all = [self.a, self.normal_a, self.b, self.normal_b];
+        let all = [self.a, self.normal_a, self.b, self.normal_b, self.sight];
         self.weight > 0.0 && self.weight.is_finite() && all.as_flattened().iter().all(|v| v.is_finite())
     }
 
@@ -83,7 +89,7 @@ pub struct RigidModel {
     pub motion: Isometry3<f64>,
     /// Indices of the inliers among the matches, ascending.
     pub inliers: Vec<usize>,
-    /// Sum over the inliers of `weight * (1 - distance^2 / inlier_distance^2)`.
+    /// Sum over the inliers of `weight * (1 - r^2)`, r the residual relative to the thresholds.
     pub score: f64,
 }
 
@@ -100,7 +106,7 @@ pub fn estimate(matches: &[LiftedMatch], options: &RansacOptions) -> Option<Rigi
     let motion = problem.best_sample()?;
     let mut best = problem.model(to_isometry(&motion));
     for _ in 0..REFINEMENTS {
-        let Some(motion) = problem.fit(&best.motion, problem.tau, tukey) else { break };
+        let Some(motion) = problem.fit(&best.motion, 1.0, tukey) else { break };
         if !problem.is_inside_gates(&motion) {
             break;
         }
@@ -127,7 +133,7 @@ pub fn refine(
     }
     let mut motion = *initial;
     for width in [3.0, 2.0, 1.5, 1.0, 1.0, 1.0] {
-        motion = problem.fit(&motion, width * problem.tau, geman_mcclure)?;
+        motion = problem.fit(&motion, width, geman_mcclure)?;
     }
     problem.is_inside_gates(&motion).then(|| problem.model(motion)).and_then(|m| problem.accept(m))
 }
@@ -156,6 +162,7 @@ struct Problem<'a> {
     b: Vec<Point3<f64>>,
     options: &'a RansacOptions,
     tau: f64,
+    lateral: f64,
     min_cos: f64,
 }
 
@@ -172,7 +179,8 @@ impl<'a> Problem<'a> {
         let angle = options.inlier_normal_angle;
         // A cosine of -2 is always reached; a NaN angle is no test.
         let min_cos = if angle < std::f64::consts::PI { angle.max(0.0).cos() } else { -2.0 };
-        Some(Self { matches, usable, a, b, options, tau, min_cos })
+        let lateral = if options.inlier_lateral > 0.0 { options.inlier_lateral.min(tau) } else { tau };
+        Some(Self { matches, usable, a, b, options, tau, lateral, min_cos })
     }
 
     /// NaN gates let nothing through.
@@ -190,7 +198,8 @@ impl<'a> Problem<'a> {
     fn best_sample(&self) -> Option<Motion> {
         let n = self.a.len();
         let min_altitude = (MIN_RELATIVE_WIDTH * extent(&self.a)).max(1e-9);
-        let votes = Votes::new(self.usable.iter().map(|&i| &self.matches[i]), self.tau, self.min_cos);
+        let usable = self.usable.iter().map(|&i| &self.matches[i]);
+        let votes = Votes::new(usable, self.tau, self.lateral, self.min_cos);
         let mut rng = Pcg64Mcg::seed_from_u64(self.options.seed);
         let mut best: Option<(f32, Motion)> = None;
         let mut scored = 0;
@@ -217,7 +226,7 @@ impl<'a> Problem<'a> {
         best.map(|b| b.1)
     }
 
-    /// Squared distance of usable match `i` under `motion`; `None` if its normals disagree.
+    /// Squared residual of usable match `i` under `motion`, relative to the thresholds; `None` if its normals disagree.
     fn squared_residual(&self, i: usize, motion: &Isometry3<f64>) -> Option<f64> {
         let m = &self.matches[self.usable[i]];
         if self.min_cos > -1.0 && m.has_normals() {
@@ -226,10 +235,17 @@ impl<'a> Problem<'a> {
                 return None;
             }
         }
-        Some((motion * self.a[i] - self.b[i]).norm_squared())
+        let residual = motion * self.a[i] - self.b[i];
+        let (along, squared) =
+            (residual.dot(&Vector3::from(m.sight.map(f64::from))), residual.norm_squared());
+        let tau = self.tau * self.tau;
+        if m.sight == [0.0; 3] {
+            return Some(squared / tau);
+        }
+        Some((squared - along * along).max(0.0) / (self.lateral * self.lateral) + along * along / tau)
     }
 
-    /// Weighted alignment with robust weights at `motion`.
+    /// Weighted alignment with robust weights at `motion`; `width` is relative to the thresholds.
     fn fit(&self, motion: &Isometry3<f64>, width: f64, robust: fn(f64) -> f64) -> Option<Isometry3<f64>> {
         let weight = |i: usize| {
             let squared = self.squared_residual(i, motion)? / (width * width);
@@ -242,8 +258,7 @@ impl<'a> Problem<'a> {
     fn model(&self, motion: Isometry3<f64>) -> RigidModel {
         let mut model = RigidModel { motion, inliers: Vec::new(), score: 0.0 };
         for i in 0..self.a.len() {
-            let Some(squared) = self.squared_residual(i, &motion) else { continue };
-            let part = squared / (self.tau * self.tau);
+            let Some(part) = self.squared_residual(i, &motion) else { continue };
             if part <= 1.0 {
                 model.inliers.push(self.usable[i]);
                 model.score += f64::from(self.matches[self.usable[i]].weight) * (1.0 - part);

@@ -26,7 +26,8 @@ use super::pickle::Pickle;
 use super::sequence::{DatasetSequence, DepthCode, Frame, Model, PoseSource, finish};
 use super::silhouette;
 use super::{
-    DatasetOptions, ModelMesh, check_name, first_file, folders, ho3d, read_file, read_json, some_sequences,
+    DatasetOptions, ModelMesh, check_name, first_file, folders, ho3d, parse_json, read_file, read_json,
+    some_sequences,
 };
 use crate::poses::nearest_rotation;
 use crate::{Error, Intrinsics, codec, listing};
@@ -39,6 +40,7 @@ const MODEL_REMEDY: &str = "put the objects/ of BEHAVE beside its sequences/";
 
 const CAMERAS: usize = 4;
 const MAX_FIT_BYTES: u64 = 4 << 20;
+const MAX_CALIBRATION_BYTES: u64 = 4 << 20;
 /// Frames whose visibility is looked at, spread over the sequence.
 const LOOKS: usize = 8;
 /// Side of the blocks that count as one pixel where areas are compared.
@@ -168,6 +170,15 @@ fn frames(dir: &Path, info: &Info, camera: usize) -> Result<Vec<Frame>, Error> {
 }
 
 fn read_intrinsics(path: &Path) -> Result<Intrinsics, Error> {
+    let bytes = read_file(path, MAX_CALIBRATION_BYTES, CALIBRATION_REMEDY)?;
+    parse_color_camera(&bytes).map_err(|problem| Error::new(path, problem, CALIBRATION_REMEDY))
+}
+
+/// Parses `calibration.json` of a Kinect: its colour camera.
+///
+/// # Errors
+/// What is wrong with it.
+pub fn parse_color_camera(bytes: &[u8]) -> Result<Intrinsics, String> {
     #[derive(Deserialize)]
     struct Color {
         fx: f64,
@@ -179,11 +190,23 @@ fn read_intrinsics(path: &Path) -> Result<Intrinsics, Error> {
     struct Calibration {
         color: Color,
     }
-    let Color { fx, fy, cx, cy } = read_json::<Calibration>(path, CALIBRATION_REMEDY)?.color;
-    Ok(Intrinsics { fx, fy, cx, cy })
+    let Color { fx, fy, cx, cy } = parse_json::<Calibration>(bytes)?.color;
+    let camera = Intrinsics { fx, fy, cx, cy };
+    if camera.is_valid() { Ok(camera) } else { Err(format!("has an unusable camera {camera:?}")) }
 }
 
 fn camera_from_world(info: &Info, camera: usize) -> Result<Isometry3<f64>, Error> {
+    let path = info.config.join(camera.to_string()).join("config.json");
+    let bytes = read_file(&path, MAX_CALIBRATION_BYTES, CALIBRATION_REMEDY)?;
+    let pose = parse_camera_pose(&bytes).map_err(|problem| Error::new(&path, problem, CALIBRATION_REMEDY))?;
+    Ok(pose.inverse())
+}
+
+/// Parses `config.json` of a Kinect: camera to world, metres; the world is the colour camera of Kinect 1.
+///
+/// # Errors
+/// What is wrong with it.
+pub fn parse_camera_pose(bytes: &[u8]) -> Result<Isometry3<f64>, String> {
     #[derive(Deserialize)]
     #[serde(untagged)]
     enum Rotation {
@@ -195,15 +218,13 @@ fn camera_from_world(info: &Info, camera: usize) -> Result<Isometry3<f64>, Error
         rotation: Rotation,
         translation: [f64; 3],
     }
-    let path = info.config.join(camera.to_string()).join("config.json");
-    let config: Config = read_json(&path, CALIBRATION_REMEDY)?;
+    let config: Config = parse_json(bytes)?;
     let rows = match config.rotation {
         Rotation::Flat(flat) => flat,
         Rotation::Rows([[a, b, c], [d, e, f], [g, h, i]]) => [a, b, c, d, e, f, g, h, i],
     };
-    let rotation = nearest_rotation(&Matrix3::from_row_slice(&rows))
-        .map_err(|problem| Error::new(&path, problem, CALIBRATION_REMEDY))?;
-    Ok(Isometry3::from_parts(Translation3::from(config.translation), rotation).inverse())
+    let rotation = nearest_rotation(&Matrix3::from_row_slice(&rows))?;
+    Ok(Isometry3::from_parts(Translation3::from(config.translation), rotation))
 }
 
 fn read_fit(path: &Path) -> Result<Isometry3<f64>, Error> {
@@ -222,7 +243,7 @@ pub fn parse_fit(bytes: &[u8]) -> Result<Isometry3<f64>, String> {
         let value = pickle.get(key).ok_or_else(|| format!("has no {key}"))?;
         value.numbers::<3>().map_err(|e| format!("its {key} {e}"))
     };
-    Ok(ho3d::axis_angle_pose(vector("angle")?, vector("trans")?))
+    ho3d::axis_angle_pose(vector("angle")?, vector("trans")?).map_err(|e| format!("its angle {e}"))
 }
 
 /// The template, with the translation that centres it.

@@ -92,16 +92,16 @@ pub fn open(root: impl AsRef<Path>, name: &str, options: &DatasetOptions) -> Res
         let camera = number.and_then(|n| cameras.get(&n)).ok_or_else(|| {
             Error::new(&camera_path, format!("has no camera for {}", color.display()), SOURCE)
         })?;
-        let objects = number.and_then(|n| truth.get(&n)).map_or(&[][..], Vec::as_slice);
-        let place = objects.iter().position(|o| o.object == object);
+        let objects = number.and_then(|n| truth.get(&n)).map_or(&[] as &[SceneObject], Vec::as_slice);
+        let place = objects.iter().enumerate().find(|(_, o)| o.object == object);
         frames.push(Frame {
             color,
             depth: dir.join("depth").join(format!("{id}.png")),
             depth_code: DepthCode::Metres(camera.metres_per_unit),
-            mask: place.map(|place| dir.join("mask_visib").join(format!("{id}_{place:06}.png"))),
+            mask: place.map(|(place, _)| dir.join("mask_visib").join(format!("{id}_{place:06}.png"))),
             occluder: None,
             intrinsics: camera.intrinsics,
-            pose: place.map_or(PoseSource::Unknown, |place| PoseSource::Known(objects[place].cam_from_obj)),
+            pose: place.map_or(PoseSource::Unknown, |(_, o)| PoseSource::Known(o.cam_from_obj)),
             id,
         });
     }
@@ -222,6 +222,15 @@ mod tests {
         r#"{"3": {"cam_K": [572.4, 0, 325.3, 0, 573.6, 242.0, 0, 0, 1], "depth_scale": 0.1, "view": 1}}"#;
     const TRUTH: &str = r#"{"0": [{"cam_R_m2c": [0, -1, 0, 1, 0, 0, 0, 0, 1], "cam_t_m2c": [100, -20, 800], "obj_id": 5},
         {"cam_R_m2c": [1, 0, 0, 0, 1, 0, 0, 0, 1], "cam_t_m2c": [0, 0, 1], "obj_id": 7}], "12": []}"#;
+
+    #[test]
+    fn json_that_is_nested_without_end_is_an_error() {
+        for text in
+            ["[".repeat(1 << 20), "{\"0\":".repeat(1 << 18), format!("{{\"0\": {}", "[".repeat(1 << 20))]
+        {
+            assert!(parse_scene_camera(text.as_bytes()).is_err() && parse_scene_gt(text.as_bytes()).is_err());
+        }
+    }
 
     #[test]
     fn metadata_is_converted_to_metres() {

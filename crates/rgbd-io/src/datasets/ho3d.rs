@@ -132,7 +132,9 @@ pub fn parse_meta(bytes: &[u8]) -> Result<Meta, String> {
         Some(value) => value.numbers::<3>().map(Some).map_err(|e| format!("its {key} {e}")),
     };
     let cam_from_obj = match (vector("objRot")?, vector("objTrans")?) {
-        (Some(r), Some(t)) => Some(flip_camera(&axis_angle_pose(r, t))),
+        (Some(r), Some(t)) => {
+            Some(flip_camera(&axis_angle_pose(r, t).map_err(|e| format!("its objRot {e}"))?))
+        }
         _ => None,
     };
     let plain = |name: &String| {
@@ -145,9 +147,14 @@ pub fn parse_meta(bytes: &[u8]) -> Result<Meta, String> {
 }
 
 /// The pose of an axis-angle vector (radians) and a translation (metres).
-pub(super) fn axis_angle_pose(r: [f64; 3], t: [f64; 3]) -> Isometry3<f64> {
+pub(super) fn axis_angle_pose(r: [f64; 3], t: [f64; 3]) -> Result<Isometry3<f64>, String> {
+    /// Radians. Annotations stay below one turn, or a few; the sine of a larger number is noise.
+    const MOST: f64 = 1e6;
+    if r.iter().any(|v| v.abs() > MOST) {
+        return Err(format!("turns by more than {MOST} radians"));
+    }
     let rotation = UnitQuaternion::from_scaled_axis(Vector3::from(r));
-    Isometry3::from_parts(Translation3::from(t), rotation)
+    Ok(Isometry3::from_parts(Translation3::from(t), rotation))
 }
 
 /// A pose in the other of the two usual cameras: OpenGL (y up, looking along -z) and OpenCV (y down, along +z).
@@ -221,6 +228,20 @@ mod tests {
     }
 
     #[test]
+    fn a_turn_beyond_all_numbers_is_an_error() {
+        let meta = |turn: &str| {
+            let text = format!(
+                "(dS'camMat'\n(lF9\naF0\naF3\naF0\naF9\naF3\naF0\naF0\naF1\nasS'objRot'\n(lF{turn}\naF0\naF0\nasS'objTrans'\n(lF0\naF0\naF0\nas."
+            );
+            parse_meta(text.as_bytes())
+        };
+        assert!(meta("0.5").unwrap().cam_from_obj.is_some());
+        for turn in ["1e200", "-1e308", "1e7"] {
+            assert!(meta(turn).unwrap_err().contains("objRot"), "{turn}");
+        }
+    }
+
+    #[test]
     fn names_tell_objects() {
         assert_eq!(object_of("AP10"), Some("019_pitcher_base"));
         assert_eq!(object_of("MPM14"), Some("010_potted_meat_can"));
@@ -232,7 +253,7 @@ mod tests {
     proptest! {
         #[test]
         fn flipping_twice_is_the_identity(r in prop::array::uniform3(-3.0..3.0), t in prop::array::uniform3(-2.0..2.0)) {
-            let pose = axis_angle_pose(r, t);
+            let pose = axis_angle_pose(r, t).unwrap();
             let flipped = flip_camera(&pose);
             let m = flipped.to_homogeneous();
             let expected = nalgebra::Matrix4::from_diagonal(&nalgebra::Vector4::new(1.0, -1.0, -1.0, 1.0))

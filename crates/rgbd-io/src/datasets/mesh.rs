@@ -20,8 +20,12 @@ impl ModelMesh {
     /// Mean of the vertices; `None` without any.
     pub fn centroid(&self) -> Option<[f64; 3]> {
         let n = self.vertices.len() as f64;
-        let sum = |k: usize| self.vertices.iter().map(|v| v[k]).sum::<f64>() / n;
-        (!self.vertices.is_empty()).then(|| [sum(0), sum(1), sum(2)])
+        let mut mean = [0.0; 3];
+        for vertex in &self.vertices {
+            // Divided first: the sum of large numbers may overflow.
+            mean.iter_mut().zip(vertex).for_each(|(mean, v)| *mean += v / n);
+        }
+        (!self.vertices.is_empty()).then_some(mean)
     }
 
     /// Reads a `.ply` (text or binary), `.obj` or `.xyz` file, in the file's units; polygons become triangles.
@@ -54,7 +58,7 @@ impl ModelMesh {
 
     fn fan(&mut self, corners: &[u32]) {
         if let [first, rest @ ..] = corners {
-            self.triangles.extend(rest.windows(2).map(|pair| [*first, pair[0], pair[1]]));
+            self.triangles.extend(rest.iter().zip(rest.iter().skip(1)).map(|(b, c)| [*first, *b, *c]));
         }
     }
 }
@@ -136,8 +140,8 @@ fn parse_ply(bytes: &[u8]) -> Result<ModelMesh, String> {
             for property in &element.properties {
                 let Some(count) = property.count else {
                     let value = input.number(property.scalar)?;
-                    if let Some(k) = axis(property) {
-                        vertex[k] = value;
+                    if let Some(v) = axis(property).and_then(|k| vertex.get_mut(k)) {
+                        *v = value;
                     }
                     continue;
                 };
@@ -166,8 +170,9 @@ fn ply_header(bytes: &[u8]) -> Result<(Format, Vec<Element>, &[u8]), String> {
     loop {
         let end =
             rest.iter().take(1 << 12).position(|b| *b == b'\n').ok_or("has a PLY header without an end")?;
-        let line = String::from_utf8_lossy(&rest[..end]).into_owned();
-        rest = &rest[end + 1..];
+        let (line, after) = rest.split_at(end);
+        let line = String::from_utf8_lossy(line).into_owned();
+        rest = after.get(1..).unwrap_or_default();
         let words: Vec<&str> = line.split_ascii_whitespace().collect();
         match words.as_slice() {
             ["end_header"] => break,
@@ -223,8 +228,10 @@ struct Body<'a> {
 impl Body<'_> {
     fn number(&mut self, scalar: Scalar) -> Result<f64, String> {
         if self.format == Format::Text {
-            let start = self.rest.iter().position(|b| !b.is_ascii_whitespace()).ok_or("is truncated")?;
-            let word = &self.rest[start..];
+            let word = self.rest.trim_ascii_start();
+            if word.is_empty() {
+                return Err("is truncated".into());
+            }
             let (word, rest) =
                 word.split_at(word.iter().position(u8::is_ascii_whitespace).unwrap_or(word.len()));
             self.rest = rest;
@@ -289,6 +296,23 @@ mod tests {
         {
             assert!(ModelMesh::parse(bytes).is_err());
         }
+        let corners =
+            b"ply\nformat binary_little_endian 1.0\nelement face 1\nproperty list uint int vertex_index\n\
+            end_header\n\xff\xff\xff\xff\0\0\0\0";
+        for (bytes, word) in [
+            (&huge[..], "truncated"),
+            (corners, "truncated"),
+            (b"v 1 2 3\nf 1 2 99999999999\n", "vertex"),
+            (b"v 1 2 3\nf 1 4294967296 1\n", "doesn't hold"),
+            (b"v 1 2 3\nf 1 -9223372036854775808 1\n", "vertex numbers"),
+            (b"v 1 2 3\nf 1 0 1\n", "vertex numbers"),
+        ] {
+            let problem = ModelMesh::parse(bytes).unwrap_err();
+            assert!(problem.contains(word), "{problem}");
+        }
+        // Vertices whose sum is no number any more.
+        let far = ModelMesh::parse(b"v 1e308 0 0\nv 1e308 0 0\n").unwrap();
+        assert_eq!(far.centroid(), Some([1e308, 0.0, 0.0]));
         for bytes in [TEXT, &binary(false)] {
             for n in 0..bytes.len() - 1 {
                 let _ = ModelMesh::parse(&bytes[..n]);

@@ -19,6 +19,8 @@
 //! assert!(error.to_string().contains("evaluation/<SEQ>/rgb/0000.jpg"));
 //! ```
 
+#![warn(clippy::indexing_slicing)]
+
 mod assemble;
 pub mod behave;
 pub mod bop;
@@ -27,7 +29,10 @@ pub mod ho3d;
 mod mesh;
 mod pickle;
 mod sequence;
+// Loops over pixels, which are none of a file's.
+#[allow(clippy::indexing_slicing)]
 mod shrink;
+#[allow(clippy::indexing_slicing)]
 mod silhouette;
 pub mod tum;
 pub mod ycbineoat;
@@ -243,4 +248,19 @@ fn check_name(root: &Path, name: &str) -> Result<(), Error> {
 fn first_file(candidates: Vec<PathBuf>) -> PathBuf {
     let found = candidates.iter().find(|p| p.is_file()).cloned();
     found.or_else(|| candidates.into_iter().next()).unwrap_or_default()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn huge_files_are_refused_unread() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("scene_gt.json");
+        // Sparse: it takes no space.
+        std::fs::File::create(&path).unwrap().set_len(MAX_JSON_BYTES + 1).unwrap();
+        let message = read_json::<Vec<u8>>(&path, "make it smaller").unwrap_err().to_string();
+        assert!(message.contains("scene_gt.json") && message.contains("more than"), "{message}");
+    }
 }

@@ -33,7 +33,7 @@ fn fill(t: [[f64; 2]; 3], width: usize, covered: &mut [bool]) {
     if !in_view {
         return;
     }
-    for y in top.ceil().max(0.0) as usize..(bottom.floor() as usize + 1).min(height) {
+    for y in top.ceil().max(0.0) as usize..(bottom.floor() as usize).saturating_add(1).min(height) {
         let row = y as f64;
         let (mut left, mut right) = (f64::MAX, f64::MIN);
         for i in 0..3 {
@@ -44,7 +44,8 @@ fn fill(t: [[f64; 2]; 3], width: usize, covered: &mut [bool]) {
             }
         }
         if right >= 0.0 && left <= right {
-            let (from, to) = (left.ceil().max(0.0) as usize, (right.floor() as usize + 1).min(width));
+            let (from, to) =
+                (left.ceil().max(0.0) as usize, (right.floor() as usize).saturating_add(1).min(width));
             if let Some(pixels) = covered.get_mut(y * width + from.min(to)..y * width + to) {
                 pixels.fill(true);
             }
@@ -69,5 +70,9 @@ mod tests {
         assert_eq!(at(1e12, 1.0), 0);
         assert_eq!(area(&mesh, &Isometry3::translation(f64::NAN, 0.0, 1.0), &k, (100, 80)), 0);
         assert_eq!(area(&mesh, &Isometry3::translation(0.0, 0.0, 1.0), &k, (0, 0)), 0);
+        // A corner just in front of the camera lies farther out than pixels can be counted.
+        let vertices = vec![[0.0, 0.0, 1.0], [-0.1, 0.0, 1.0], [0.1, 0.1, 1e-30]];
+        let near = ModelMesh { vertices, triangles: vec![[0, 1, 2]] };
+        assert!(area(&near, &Isometry3::identity(), &k, (100, 80)) > 100);
     }
 }

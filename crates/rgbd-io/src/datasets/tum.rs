@@ -69,19 +69,19 @@ pub fn open(root: impl AsRef<Path>, name: &str, options: &DatasetOptions) -> Res
     let mut poses = truth(&dir, &color_times)?;
     let has_masks =
         dir.join("masks").is_dir() || matches!(options.masks, MaskSource::Folder(_) | MaskSource::All);
-    let frames = pairs.into_iter().map(|(c, d)| {
-        let color = PathBuf::from(&colors[c].1);
+    let frames = pairs.into_iter().filter_map(|(c, d)| {
+        let color = PathBuf::from(&colors.get(c)?.1);
         let id = color.file_stem().map_or_else(String::new, |s| s.to_string_lossy().into_owned());
-        Frame {
+        Some(Frame {
             color: dir.join(color),
-            depth: dir.join(&depths[d].1),
+            depth: dir.join(&depths.get(d)?.1),
             depth_code: DepthCode::Metres(1.0 / UNITS_PER_METRE),
             mask: has_masks.then(|| dir.join("masks").join(format!("{id}.png"))),
             occluder: None,
             intrinsics,
             pose: poses.get_mut(c).and_then(Option::take).map_or(PoseSource::Unknown, PoseSource::Known),
             id,
-        }
+        })
     });
     let frames: Vec<Frame> = frames.collect();
     let model = Model::new(custom::mesh_file(&dir), SOURCE);
@@ -156,7 +156,9 @@ pub fn parse_trajectory(text: &str) -> Result<Vec<(f64, Isometry3<f64>)>, String
         let words: Option<Vec<f64>> = line.split_whitespace().map(|w| w.parse().ok()).collect();
         let words = words.filter(|w| w.iter().all(|v| v.is_finite())).ok_or_else(wrong)?;
         let &[time, tx, ty, tz, qx, qy, qz, qw] = words.as_slice() else { return Err(wrong()) };
-        let rotation = UnitQuaternion::try_new(Quaternion::new(qw, qx, qy, qz), 1e-6).ok_or_else(wrong)?;
+        let q = Quaternion::new(qw, qx, qy, qz);
+        // A length whose square overflows is no rotation that was rounded.
+        let rotation = UnitQuaternion::try_new(q, 1e-6).filter(|_| q.norm().is_finite()).ok_or_else(wrong)?;
         poses.push((time, Isometry3::from_parts(Translation3::new(tx, ty, tz), rotation)));
     }
     poses.sort_by(|a, b| a.0.total_cmp(&b.0));
@@ -179,8 +181,8 @@ pub fn associate(a: &[f64], b: &[f64], max: f64) -> Vec<(usize, usize)> {
     let mut candidates = Vec::new();
     for (i, t) in a.iter().enumerate() {
         let middle = b.partition_point(|s| s < t);
-        for j in middle.saturating_sub(NEAR)..(middle + NEAR).min(b.len()) {
-            let difference = (t - b[j]).abs();
+        for (j, s) in b.iter().enumerate().take(middle + NEAR).skip(middle.saturating_sub(NEAR)) {
+            let difference = (t - s).abs();
             if difference < max {
                 candidates.push((difference, i, j));
             }
@@ -190,8 +192,8 @@ pub fn associate(a: &[f64], b: &[f64], max: f64) -> Vec<(usize, usize)> {
     let (mut used_a, mut used_b) = (vec![false; a.len()], vec![false; b.len()]);
     let mut pairs = Vec::new();
     for (_, i, j) in candidates {
-        if !used_a[i] && !used_b[j] {
-            (used_a[i], used_b[j]) = (true, true);
+        if let (Some(a @ false), Some(b @ false)) = (used_a.get_mut(i), used_b.get_mut(j)) {
+            (*a, *b) = (true, true);
             pairs.push((i, j));
         }
     }
@@ -210,7 +212,9 @@ fn truth(dir: &Path, times: &[f64]) -> Result<Vec<Option<Isometry3<f64>>>, Error
         parse_trajectory(&read_lines(&path)?).map_err(|problem| Error::new(&path, problem, SOURCE))?;
     let pose_times: Vec<f64> = trajectory.iter().map(|(t, _)| *t).collect();
     for (i, j) in associate(times, &pose_times, MAX_TIME_DIFFERENCE) {
-        poses[i] = Some(trajectory[j].1.inverse());
+        if let (Some(pose), Some((_, world_from_cam))) = (poses.get_mut(i), trajectory.get(j)) {
+            *pose = Some(world_from_cam.inverse());
+        }
     }
     Ok(poses)
 }
@@ -245,9 +249,23 @@ mod tests {
             (pose * nalgebra::Point3::new(1.0, 0.0, 0.0) - nalgebra::Point3::new(0.5, 1.0, -1.0)).norm()
                 < 1e-9
         );
-        for text in ["1 0 0 0 0 0 0 0", "1 0 0 0 0 0 0", "1 0 0 0 0 0 0 1 1", "1 0 0 inf 0 0 0 1", "a"] {
+        for text in [
+            "1 0 0 0 0 0 0 0",
+            "1 0 0 0 0 0 0",
+            "1 0 0 0 0 0 0 1 1",
+            "1 0 0 inf 0 0 0 1",
+            "a",
+            "1 0 0 0 1e200 0 0 1",
+        ] {
             assert!(parse_trajectory(text).is_err(), "{text}");
         }
+    }
+
+    #[test]
+    fn a_list_without_end_is_refused() {
+        let endless = "1 a\n".repeat(MAX_LINES + 1);
+        assert!(parse_list(&endless).unwrap_err().contains("more than"));
+        assert!(parse_trajectory(&endless).unwrap_err().contains("more than"));
     }
 
     #[test]

@@ -3,6 +3,8 @@
 //! Nothing in a file is executed. The pickle inside a PyTorch archive is a program; the few instructions that a plain
 //! state dict needs are interpreted here ([`pickle`]) and every other one is refused.
 
+#![warn(clippy::indexing_slicing)]
+
 mod bytes;
 mod pickle;
 mod safetensors;
@@ -89,8 +91,11 @@ impl Weights {
         let wrong = |problem: String| Error::Tensor { name: format!("{name}.weight"), problem, network };
         let full = self.conv_name(name).ok_or_else(|| wrong("is missing".into()))?;
         let tensor = self.tensors.get(&format!("{full}.weight")).ok_or_else(|| wrong("is missing".into()))?;
+        // With a length of 0 the others may be anything, and memory would be taken for them.
         <[usize; 4]>::try_from(tensor.shape.as_slice())
-            .map_err(|_| wrong(format!("has shape {:?}", tensor.shape)))
+            .ok()
+            .filter(|shape| shape.iter().all(|length| *length > 0))
+            .ok_or_else(|| wrong(format!("has shape {:?}", tensor.shape)))
     }
 
     /// Convolution `name` on `inputs` channels, with its batch normalisation folded in.
@@ -115,38 +120,42 @@ impl Weights {
     /// Weights and bias of convolution `name`, with its batch normalisation folded in.
     pub(crate) fn folded(&self, name: &str, kernel: usize, network: &'static str) -> Result<Folded, Error> {
         let shape = self.conv_shape(name, network)?;
+        let [outputs, inputs, rows, columns] = shape;
         let full = self.conv_name(name).unwrap_or_default();
         let wrong = |name: &str, problem: String| Error::Tensor { name: name.into(), problem, network };
         let vector = |name: &str| -> Result<Option<&[f32]>, Error> {
             match self.tensors.get(name) {
-                Some(t) if t.shape != [shape[0]] => {
-                    Err(wrong(name, format!("has shape {:?} instead of [{}]", t.shape, shape[0])))
+                Some(t) if t.shape != [outputs] => {
+                    Err(wrong(name, format!("has shape {:?} instead of [{outputs}]", t.shape)))
                 }
                 found => Ok(found.map(|t| t.values.as_slice())),
             }
         };
         let weight_name = format!("{full}.weight");
-        if shape[2..] != [kernel, kernel] {
+        if [rows, columns] != [kernel, kernel] {
             return Err(wrong(
                 &weight_name,
                 format!("has shape {shape:?} instead of a {kernel}x{kernel} kernel"),
             ));
         }
         let mut weight = self.tensors.get(&weight_name).map(|t| t.values.clone()).unwrap_or_default();
-        let mut bias = vector(&format!("{full}.bias"))?.map_or_else(|| vec![0.0; shape[0]], <[f32]>::to_vec);
+        let mut bias = vector(&format!("{full}.bias"))?.map_or_else(|| vec![0.0; outputs], <[f32]>::to_vec);
 
         let norm = following(&full);
         if let (Some(mean), Some(variance)) =
             (vector(&format!("{norm}.running_mean"))?, vector(&format!("{norm}.running_var"))?)
         {
             let (gamma, beta) = (vector(&format!("{norm}.weight"))?, vector(&format!("{norm}.bias"))?);
-            let values = shape[1..].iter().product::<usize>().max(1);
-            for (o, kernel) in weight.chunks_mut(values).enumerate() {
-                let gamma = gamma.map_or(1.0, |g| f64::from(g[o]));
-                let gain = gamma / (f64::from(variance[o]) + BATCH_NORM_EPSILON).sqrt();
+            let kernels = weight.chunks_mut((inputs * rows * columns).max(1));
+            let statistics = mean.iter().zip(variance);
+            for (o, ((kernel, bias), (mean, variance))) in kernels.zip(&mut bias).zip(statistics).enumerate()
+            {
+                let of_output = |values: Option<&[f32]>, default: f64| {
+                    values.and_then(|v| v.get(o)).map_or(default, |v| f64::from(*v))
+                };
+                let gain = of_output(gamma, 1.0) / (f64::from(*variance) + BATCH_NORM_EPSILON).sqrt();
                 kernel.iter_mut().for_each(|w| *w = (f64::from(*w) * gain) as f32);
-                let shift = beta.map_or(0.0, |b| f64::from(b[o]));
-                bias[o] = ((f64::from(bias[o]) - f64::from(mean[o])) * gain + shift) as f32;
+                *bias = ((f64::from(*bias) - f64::from(*mean)) * gain + of_output(beta, 0.0)) as f32;
             }
         }
         if weight.iter().chain(&bias).any(|v| !v.is_finite()) {
@@ -211,6 +220,9 @@ pub(crate) mod tests {
         let map = super::super::nn::Map::from_fn(1, 1, 1, |_, _, _| 7.0);
         // 10 * (2 * 7 - 3) / 2 + 0.5
         assert!((conv.run(&map, super::super::nn::After::Linear).at(0, 0, 0) - 55.5).abs() < 1e-4);
+        // No outputs of so many inputs that memory for them ends.
+        let none = Weights::from_tensors([("a.weight".into(), tensor(&[1 << 60, 0, 1, 1], &[]))]);
+        assert!(matches!(none.conv("a", 1, 1, 1, "test"), Err(Error::Tensor { .. })));
         for (name, inputs, kernel) in [("b", 1, 1), ("a", 2, 1), ("a", 1, 3)] {
             assert!(matches!(weights.conv(name, inputs, kernel, 1, "test"), Err(Error::Tensor { .. })));
         }

@@ -4,7 +4,7 @@
 //! strings, tuples, dicts, references to storages, and two functions: the one that makes an ordered dict and the one that
 //! makes a tensor of a storage. Those are recognised by name; a pickle with anything else is refused.
 
-use super::bytes::{array, floats, u16_at, u32_at};
+use super::bytes::{array, u16_at, u32_at};
 use super::zip::Archive;
 use super::{MAX_DIMENSIONS, MAX_TENSORS, MAX_VALUES, Tensor};
 use crate::learned::Error;
@@ -32,11 +32,13 @@ pub(super) fn state_dict(archive: &Archive<'_>) -> Result<BTreeMap<String, Tenso
     }
     let mut machine = Machine { program, ..Machine::default() };
     let Value::Object(top) = machine.run()? else { return Err(unsupported("no state dict")) };
-    let Object::Dict(entries) = &machine.objects[top] else { return Err(unsupported("no state dict")) };
-    let (mut tensors, mut total) = (BTreeMap::new(), 0_usize);
+    let Some(Object::Dict(entries)) = machine.objects.get(top) else {
+        return Err(unsupported("no state dict"));
+    };
+    let (mut tensors, mut count, mut total) = (BTreeMap::new(), 0_usize, 0_usize);
     for (name, value) in entries {
         let (Value::Text(name), Value::Object(index)) = (name, value) else { continue };
-        let Object::Tensor(tensor) = &machine.objects[*index] else { continue };
+        let Some(Object::Tensor(tensor)) = machine.objects.get(*index) else { continue };
         if !tensor.storage.is_float {
             continue;
         }
@@ -45,8 +47,10 @@ pub(super) fn state_dict(archive: &Archive<'_>) -> Result<BTreeMap<String, Tenso
             .ok_or_else(|| damaged(format!("the values of tensor `{name}` are missing")))?;
         let loaded =
             tensor.load(content).ok_or_else(|| damaged(format!("tensor `{name}` exceeds its values")))?;
+        // Not the number of names: a hostile file repeats one of them.
+        count += 1;
         total += loaded.values.len();
-        if tensors.len() >= MAX_TENSORS || total > MAX_VALUES {
+        if count > MAX_TENSORS || total > MAX_VALUES {
             return Err(unsupported("more tensors than any network known here"));
         }
         tensors.insert((*name).to_owned(), loaded);
@@ -95,6 +99,10 @@ impl View<'_> {
         if count > content.len() / 4 {
             return None;
         }
+        if count == 0 {
+            // Beside a length of 0 the others may be anything.
+            return Some(Tensor { shape: self.shape.clone(), values: Vec::new() });
+        }
         let mut at = vec![self.offset];
         for (&length, &stride) in self.shape.iter().zip(&self.strides) {
             let mut next = Vec::with_capacity(at.len().checked_mul(length)?);
@@ -105,8 +113,9 @@ impl View<'_> {
             }
             at = next;
         }
-        let stored = floats(content);
-        let values = at.into_iter().map(|i| stored.get(i).copied()).collect::<Option<Vec<f32>>>()?;
+        let (stored, _) = content.as_chunks::<4>();
+        let value = |i: usize| stored.get(i).map(|b| f32::from_le_bytes(*b));
+        let values = at.into_iter().map(value).collect::<Option<Vec<f32>>>()?;
         Some(Tensor { shape: self.shape.clone(), values })
     }
 }
@@ -155,7 +164,7 @@ impl<'a> Machine<'a> {
                 self.stack.push(Value::Other);
             }
             b'K' => {
-                let value = i64::from(self.take(1)?[0]);
+                let value = i64::from(self.byte()?);
                 self.stack.push(Value::Int(value));
             }
             b'M' => {
@@ -168,7 +177,7 @@ impl<'a> Machine<'a> {
             }
             // LONG1, up to eight bytes in two's complement.
             0x8a => {
-                let length = usize::from(self.take(1)?[0]);
+                let length = usize::from(self.byte()?);
                 let digits = self.take(length)?;
                 let mut wide = [if digits.last().is_some_and(|d| d & 0x80 != 0) { 0xff } else { 0 }; 8];
                 wide.get_mut(..length)?.copy_from_slice(digits);
@@ -228,7 +237,8 @@ impl<'a> Machine<'a> {
         let (Some(Value::Object(a)), Some(Value::Object(f))) = (arguments, function) else {
             return Err(malformed());
         };
-        let (Object::Tuple(arguments), Object::Function(module, name)) = (&self.objects[a], &self.objects[f])
+        let (Some(Object::Tuple(arguments)), Some(Object::Function(module, name))) =
+            (self.objects.get(a), self.objects.get(f))
         else {
             return Err(malformed());
         };
@@ -258,11 +268,11 @@ impl<'a> Machine<'a> {
             return None;
         };
         let numbers = |index: usize| -> Option<Vec<usize>> {
-            let Object::Tuple(items) = &self.objects[index] else { return None };
+            let Object::Tuple(items) = self.objects.get(index)? else { return None };
             let number = |v: &Value<'_>| if let Value::Int(i) = v { usize::try_from(*i).ok() } else { None };
             items.iter().map(number).collect()
         };
-        let Object::Storage(storage) = self.objects[storage] else { return None };
+        let Object::Storage(storage) = *self.objects.get(storage)? else { return None };
         let (shape, strides) = (numbers(shape)?, numbers(strides)?);
         let is_plain = shape.len() == strides.len() && shape.len() <= MAX_DIMENSIONS;
         is_plain.then_some(View { storage, offset: usize::try_from(offset).ok()?, shape, strides })
@@ -272,17 +282,17 @@ impl<'a> Machine<'a> {
     fn storage(&mut self) -> Result<(), Error> {
         let malformed = || damaged("its pickle is malformed");
         let Some(Value::Object(id)) = self.stack.pop() else { return Err(malformed()) };
-        let Object::Tuple(id) = &self.objects[id] else { return Err(malformed()) };
+        let Some(Object::Tuple(id)) = self.objects.get(id) else { return Err(malformed()) };
         let &[Value::Text("storage"), Value::Object(kind), Value::Text(key), ..] = id.as_slice() else {
             return Err(malformed());
         };
-        let is_float = match self.objects[kind] {
-            Object::Function("torch", "FloatStorage") => true,
-            Object::Function(
+        let is_float = match self.objects.get(kind) {
+            Some(Object::Function("torch", "FloatStorage")) => true,
+            Some(Object::Function(
                 "torch",
                 "LongStorage" | "IntStorage" | "ShortStorage" | "CharStorage" | "ByteStorage" | "BoolStorage",
-            ) => false,
-            Object::Function(_, name) => return Err(unsupported(format!("numbers of type {name}"))),
+            )) => false,
+            Some(Object::Function(_, name)) => return Err(unsupported(format!("numbers of type {name}"))),
             _ => return Err(malformed()),
         };
         self.push(Object::Storage(Storage { is_float, key }));
@@ -297,7 +307,7 @@ impl<'a> Machine<'a> {
     fn set_items(&mut self, items: &[Value<'a>]) -> Option<()> {
         let Value::Object(index) = *self.stack.last()? else { return None };
         let Object::Dict(entries) = self.objects.get_mut(index)? else { return None };
-        entries.extend(items.chunks_exact(2).map(|pair| (pair[0], pair[1])));
+        entries.extend(items.as_chunks::<2>().0.iter().map(|[key, value]| (*key, *value)));
         Some(())
     }
 
@@ -309,13 +319,17 @@ impl<'a> Machine<'a> {
     }
 
     fn slot(&mut self, is_short: bool) -> Option<usize> {
-        if is_short { Some(usize::from(self.take(1)?[0])) } else { u32_at(self.take(4)?, 0) }
+        if is_short { self.byte().map(usize::from) } else { u32_at(self.take(4)?, 0) }
     }
 
     fn take(&mut self, length: usize) -> Option<&'a [u8]> {
         let taken = self.program.get(self.at..self.at.checked_add(length)?)?;
         self.at += length;
         Some(taken)
+    }
+
+    fn byte(&mut self) -> Option<u8> {
+        self.take(1)?.first().copied()
     }
 
     fn line(&mut self) -> Option<&'a str> {
@@ -393,10 +407,14 @@ mod tests {
 
     fn good() -> Vec<u8> {
         pickle(&[
-            ("a.weight", tensor("FloatStorage", "7", 0, &[2, 3], &[3, 1])),
+            ("a.weight", good_tensor()),
             ("turned", tensor("FloatStorage", "7", 1, &[2, 2], &[1, 3])),
             ("count", tensor("LongStorage", "9", 0, &[], &[])),
         ])
+    }
+
+    fn good_tensor() -> Vec<u8> {
+        tensor("FloatStorage", "7", 0, &[2, 3], &[3, 1])
     }
 
     #[test]
@@ -433,6 +451,14 @@ mod tests {
             let error = load(&pickle(&[("x", tensor(kind, key, offset, shape, strides))])).unwrap_err();
             assert!(matches!(error, Error::Damaged { .. }), "{error}");
         }
+        // A length of 0 beside one that no memory holds: nothing, and no memory is taken.
+        let mut huge = tensor("FloatStorage", "7", 0, &[1, 0], &[1, 1]);
+        let at = huge.windows(5).position(|w| w == [b'(', b'K', 1, b'K', 0]).unwrap();
+        huge.splice(at + 1..at + 3, [0x8a, 8, 0, 0, 0, 0, 0, 0, 0, 0x40]);
+        assert_eq!(load(&pickle(&[("x", huge)])).unwrap()["x"].values, [0.0_f32; 0]);
+        // One name, again and again: each would be loaded.
+        let same: Vec<_> = (0..=MAX_TENSORS).map(|_| ("x", good_tensor())).collect();
+        assert!(load(&pickle(&same)).unwrap_err().to_string().contains("more tensors"));
         let half = pickle(&[("x", tensor("HalfStorage", "7", 0, &[2], &[1]))]);
         assert!(load(&half).unwrap_err().to_string().contains("HalfStorage"));
         let program = good();

@@ -16,11 +16,12 @@ pub(super) fn parse(bytes: &[u8]) -> Result<BTreeMap<String, Tensor>, Error> {
         return Err(damaged("its header is too long"));
     }
     let end = 8 + usize::try_from(length).unwrap_or(usize::MAX - 8);
-    let header = bytes.get(8..end).ok_or_else(|| damaged("it ends inside its header"))?;
+    let short = || damaged("it ends inside its header");
+    let header = bytes.get(8..end).ok_or_else(short)?;
     let text = std::str::from_utf8(header).map_err(|_| damaged("its header is not UTF-8"))?;
-    let data = &bytes[end..];
+    let data = bytes.get(end..).ok_or_else(short)?;
     let entries = Json { text, at: 0 }.header().ok_or_else(|| damaged("its header is not as specified"))?;
-    let mut tensors = BTreeMap::new();
+    let (mut tensors, mut total) = (BTreeMap::new(), 0_usize);
     for Entry { name, dtype, shape, offsets: [from, to] } in entries {
         let wrong = |problem: &str| damaged(&format!("tensor `{name}` {problem}"));
         match dtype.as_str() {
@@ -34,6 +35,11 @@ pub(super) fn parse(bytes: &[u8]) -> Result<BTreeMap<String, Tensor>, Error> {
         let content = data.get(from..to).ok_or_else(|| wrong("lies outside the file"))?;
         if count != Some(content.len()) {
             return Err(wrong("has another size than its shape says"));
+        }
+        total += content.len();
+        // Tensors lie side by side: what overlaps could fill the memory from a small file.
+        if total > data.len() {
+            return Err(wrong("overlaps another"));
         }
         tensors.insert(name, Tensor { shape, values: floats(content) });
     }
@@ -55,7 +61,7 @@ struct Json<'a> {
     at: usize,
 }
 
-impl Json<'_> {
+impl<'t> Json<'t> {
     fn header(&mut self) -> Option<Vec<Entry>> {
         let mut entries = Vec::new();
         self.object(|json, name| {
@@ -102,9 +108,9 @@ impl Json<'_> {
         }
         while numbers.len() < MAX_DIMENSIONS {
             self.skip_spaces();
-            let rest = &self.text[self.at..];
+            let rest = self.rest();
             let digits = rest.len() - rest.trim_start_matches(|c: char| c.is_ascii_digit()).len();
-            numbers.push(rest[..digits].parse().ok()?);
+            numbers.push(rest.get(..digits)?.parse().ok()?);
             self.at += digits;
             if self.eat(',').is_none() {
                 return self.eat(']').map(|()| numbers);
@@ -116,7 +122,7 @@ impl Json<'_> {
     fn string(&mut self) -> Option<String> {
         self.eat('"')?;
         let mut out = String::new();
-        let mut characters = self.text[self.at..].char_indices();
+        let mut characters = self.rest().char_indices();
         while let Some((i, c)) = characters.next() {
             match c {
                 '"' => {
@@ -145,13 +151,18 @@ impl Json<'_> {
 
     fn eat(&mut self, wanted: char) -> Option<()> {
         self.skip_spaces();
-        let rest = self.text[self.at..].strip_prefix(wanted)?;
+        let rest = self.rest().strip_prefix(wanted)?;
         self.at = self.text.len() - rest.len();
         Some(())
     }
 
     fn skip_spaces(&mut self) {
-        self.at = self.text.len() - self.text[self.at..].trim_start_matches([' ', '\n', '\r', '\t']).len();
+        self.at = self.text.len() - self.rest().trim_start_matches([' ', '\n', '\r', '\t']).len();
+    }
+
+    /// What is not read yet.
+    fn rest(&self) -> &'t str {
+        self.text.get(self.at..).unwrap_or_default()
     }
 }
 
@@ -189,6 +200,9 @@ mod tests {
         assert!(matches!(parse(&file(half, &[0.0])), Err(Error::Unsupported { .. })));
         let huge = r#"{"x":{"dtype":"F32","shape":[4294967296,4294967296,4],"data_offsets":[0,4]}}"#;
         assert!(matches!(parse(&file(huge, &[0.0])), Err(Error::Damaged { .. })));
+        // The same numbers as two tensors, and so on: a small file that fills the memory.
+        let twice = r#"{"x":{"dtype":"F32","shape":[1],"data_offsets":[0,4]},"y":{"dtype":"F32","shape":[1],"data_offsets":[0,4]}}"#;
+        assert!(parse(&file(twice, &[0.0])).unwrap_err().to_string().contains("overlaps"));
         let reversed = r#"{"x":{"dtype":"F32","shape":[1],"data_offsets":[4,0]}}"#;
         assert!(matches!(parse(&file(reversed, &[0.0])), Err(Error::Damaged { .. })));
     }

@@ -22,7 +22,7 @@ impl<'a> Archive<'a> {
         let last = bytes.len().checked_sub(22).ok_or_else(|| damaged("it is too short"))?;
         let end = (last.saturating_sub(0xffff)..=last)
             .rev()
-            .find(|&at| bytes[at..].starts_with(b"PK\x05\x06"))
+            .find(|&at| bytes.get(at..).is_some_and(|rest| rest.starts_with(b"PK\x05\x06")))
             .ok_or_else(|| damaged("the directory at its end is missing, so it is probably cut off"))?;
         let outside = || damaged("its directory points outside the file");
         let count = u16_at(bytes, end + 10).ok_or_else(outside)?;

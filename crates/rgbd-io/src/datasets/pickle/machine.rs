@@ -267,7 +267,7 @@ impl<'a> Machine<'a> {
     }
 
     fn byte(&mut self) -> Result<u8, String> {
-        Ok(self.take(1)?[0])
+        self.take(1)?.first().copied().ok_or_else(|| "is truncated".to_owned())
     }
 
     /// A little-endian number of up to eight bytes.

@@ -53,7 +53,7 @@ impl<'a> Pickle<'a> {
         'a: 'p,
     {
         let Node::Dict(entries) = self.node(self.root) else { return None };
-        let id = entries.iter().rev().find(|(k, _)| self.text(*k).is_some_and(|t| t == key))?.1;
+        let id = entries.iter().rev().find(|(k, _)| self.is_text(*k, key))?.1;
         Some(Value { pickle: self, id })
     }
 
@@ -73,6 +73,24 @@ impl<'a> Pickle<'a> {
         let Node::Call { function, args, state } = self.node(id) else { return None };
         let Node::Global(name) = self.node(*function) else { return None };
         Some((name, self.tuple(*args), state.map_or(&[], |s| self.tuple(s))))
+    }
+
+    /// Whether it is this ASCII text. Makes no copy: hostile files have a million keys that are one long string.
+    fn is_text(&self, id: Id, key: &str) -> bool {
+        match self.node(id) {
+            Node::Text(text) => text == key,
+            Node::Bytes(bytes) => bytes.as_ref() == key.as_bytes(),
+            // numpy.str_, and what Python 3 writes for Python 2.
+            Node::Call { .. } => self.call(id).is_some_and(|(name, args, _)| {
+                matches!(name, "encode" | "bytes" | "bytearray")
+                    && args.first().is_some_and(|a| match self.node(*a) {
+                        Node::Text(text) => text == key,
+                        Node::Bytes(bytes) => bytes.as_ref() == key.as_bytes(),
+                        _ => false,
+                    })
+            }),
+            _ => false,
+        }
     }
 
     fn text(&self, id: Id) -> Option<Cow<'_, str>> {
@@ -175,7 +193,9 @@ impl<'a> Pickle<'a> {
         let values: Option<Vec<f64>> = bytes.chunks_exact(size).map(number).collect();
         let mut values = values.ok_or("has numbers of an unknown type")?;
         if let (true, &[rows, columns]) = (fortran, shape.as_slice()) {
-            values = (0..rows * columns).map(|i| values[i % columns * rows + i / columns]).collect();
+            let column_major = std::mem::take(&mut values);
+            let at = |i: usize| column_major.get(i % columns * rows + i / columns).copied();
+            values = (0..rows * columns).filter_map(at).collect();
         } else if fortran && shape.len() > 2 {
             return Err("is in column-major order with more than two axes".into());
         }

@@ -68,6 +68,14 @@ fn hostile_pickles_end_in_an_error_or_in_data() {
     assert!(Pickle::parse(&deep).unwrap().get("x").unwrap().array().is_err());
     let own = Pickle::parse(b"\x80\x02}U\x01x]q\x00h\x00as.").unwrap();
     assert!(own.get("x").unwrap().array().is_err());
+    // Half a million keys that all are one string of a megabyte, and none of them what is asked for.
+    let mut keys = b"\x80\x02}(T\x00\x00\x10\x00".to_vec();
+    keys.extend(vec![b'k'; 1 << 20]);
+    keys.extend(b"q\x00N");
+    keys.extend(b"h\x00N".repeat(1 << 19));
+    keys.extend(b"u.");
+    let pickle = Pickle::parse(&keys).unwrap();
+    assert!(pickle.get("x").is_none() && pickle.get("camMat").is_none());
     // A call of os.system is a name and nothing else.
     let call = Pickle::parse(b"}U\x01xcos\nsystem\n(U\x04truetRs.").unwrap();
     assert!(call.get("x").unwrap().array().is_err());
