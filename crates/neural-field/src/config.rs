@@ -108,7 +108,8 @@ impl Default for FieldConfig {
 }
 
 impl FieldConfig {
-    /// The paper's numbers (section 3.4 and its supplement), with loss weights translated to truncation units.
+    /// The paper's counts, lattices and schedule (section 3.4 and its supplement). The loss weights are those of
+    /// [`realtime`](Self::realtime): the paper's belong to losses in other units and of another normalisation.
     pub fn paper() -> Self {
         Self {
             steps: 300,
@@ -127,13 +128,14 @@ impl FieldConfig {
             color_start: 0.0,
             eikonal_every: 1,
             first_frame_weight: 1.0,
+            outlier_ratio: 0.0,
             incidence_correction: false,
             background_depth: false,
             ..Self::realtime()
         }
     }
 
-    /// The released online configuration: 500 steps, a band of one truncation distance on both sides, no eikonal
+    /// After the released online configuration: 500 steps, a band of one truncation distance on both sides, no eikonal
     /// term, a privileged first frame.
     pub fn release() -> Self {
         Self {
