@@ -1,7 +1,5 @@
-//! The project's own commands: `cargo xtask eval` scores the system on sequences with known truth, `cargo xtask tidy` checks
-//! the rules of the tree.
-//!
-//! It starts the `bundlesdf` binary and never links its library: what is measured is what a user runs.
+//! The project's own commands: `cargo xtask eval` scores the system on sequences with known truth, `cargo xtask bench`
+//! measures single parts, `cargo xtask tidy` checks the rules of the tree.
 #![allow(clippy::print_stdout, reason = "a command line tool reports on standard output")]
 
 mod bench;
@@ -20,10 +18,11 @@ struct Args {
 
 #[derive(Subcommand)]
 enum Command {
-    /// Run the system on sequences with known poses and mesh, and print its scores.
+    /// Run the system, its ablations and other methods on sequences with known poses and mesh, and print their scores
+    /// under the published ones.
     Eval {
         #[command(subcommand)]
-        layout: eval::Layout,
+        target: Box<eval::Target>,
     },
     /// Measure the speed of single parts, against a peer where one is given.
     Bench {
@@ -36,7 +35,7 @@ enum Command {
 
 fn main() -> anyhow::Result<ExitCode> {
     match Args::parse().command {
-        Command::Eval { layout } => eval::run(&layout),
+        Command::Eval { target } => eval::run(&target),
         Command::Bench { part } => bench::run(&part),
         Command::Tidy => tidy::run(),
     }

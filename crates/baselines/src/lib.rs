@@ -41,6 +41,7 @@
 mod baseline;
 mod depth;
 mod frame_to_frame;
+mod fusion;
 mod icp;
 mod kinectfusion;
 mod normal_equations;
@@ -52,6 +53,7 @@ mod tracker;
 pub mod tsdf;
 
 pub use baseline::{Baseline, BaselineConfig, ObjectTracker, Pose};
+pub use fusion::PoseFusion;
 pub use point_map::PointMap;
 
 #[cfg(doctest)]

@@ -18,7 +18,15 @@ pub(crate) struct Model {
 }
 
 impl Model {
+    /// The first view, which defines the object's frame.
     fn new(first: &Observation, config: &BaselineConfig) -> Self {
+        let mut model = Self::empty(first, config);
+        model.volume.integrate(&first.view(), &model.cam_from_obj);
+        model
+    }
+
+    /// A volume that suits the object of the first view, around its middle.
+    pub(crate) fn empty(first: &Observation, config: &BaselineConfig) -> Self {
         let (middle, size) = first.bounds();
         let extent = Vector3::from(size).norm().max(1e-3);
         let footprint = middle[2] / first.camera.fx.min(first.camera.fy);
@@ -32,13 +40,11 @@ impl Model {
             radius_m: 2.0 * extent as f32,
             ..TsdfOptions::default()
         };
-        let mut model = Self {
+        Self {
             volume: TsdfVolume::new(options),
             cam_from_obj: Isometry3::translation(middle[0], middle[1], middle[2]),
             radius: 0.5 * extent,
-        };
-        model.volume.integrate(&first.view(), &model.cam_from_obj);
-        model
+        }
     }
 
     /// Half the width of the band around the surface, metres: the scale of everything that is near.

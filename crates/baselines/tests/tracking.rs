@@ -1,7 +1,7 @@
 //! The three methods on a short synthetic sequence with known poses, and on what no method can track.
 #![allow(clippy::unwrap_used)]
 
-use baselines::{Baseline, BaselineConfig, Pose};
+use baselines::{Baseline, BaselineConfig, Pose, PoseFusion};
 use eval_metrics::{ModelPoints, add, rebase};
 use nalgebra::{Isometry3, Point3, Vector3};
 use rgbd_io::{Image, Intrinsics, RgbdFrame};
@@ -64,6 +64,32 @@ fn check(method: Baseline, limit: f64) {
     distances.sort_by(f32::total_cmp);
     let median = distances[distances.len() / 2];
     assert!(median < 0.004, "{method:?}: median distance of the mesh {median}");
+}
+
+#[test]
+fn true_poses_give_the_true_surface() {
+    // Somewhere else than the fused volume's own frame.
+    let other = Isometry3::new(Vector3::new(0.3, -0.2, 0.1), Vector3::new(0.4, -0.7, 1.1));
+    let mut fusion = PoseFusion::new(&BaselineConfig::default());
+    for (i, frame) in frames().iter().enumerate() {
+        assert!(fusion.add(frame, &(sequence().cam_from_obj(i) * other)));
+    }
+    let mesh = fusion.mesh(0.003);
+    assert!(mesh.triangles.len() > 500);
+    let shape = sequence().spec().object.shape().unwrap();
+    let distance = |v: &[f32; 3]| {
+        let p = other * Point3::from(v.map(f64::from));
+        shape.distance([p.x as f32, p.y as f32, p.z as f32]).abs()
+    };
+    let mut distances: Vec<f32> = mesh.vertices.iter().map(distance).collect();
+    distances.sort_by(f32::total_cmp);
+    assert!(distances[distances.len() / 2] < 0.002, "median {}", distances[distances.len() / 2]);
+    // A frame without mask, or a pose that is none, changes nothing.
+    let unmasked = RgbdFrame { mask: None, ..frames()[0].clone() };
+    assert!(!fusion.add(&unmasked, &other));
+    assert!(!fusion.add(&frames()[0], &Isometry3::translation(f64::NAN, 0.0, 0.0)));
+    assert_eq!(fusion.mesh(0.003).vertices.len(), mesh.vertices.len());
+    assert!(PoseFusion::new(&BaselineConfig::default()).mesh(0.003).triangles.is_empty());
 }
 
 #[test]

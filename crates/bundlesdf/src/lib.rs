@@ -28,11 +28,13 @@ mod ablation;
 pub mod canonical;
 pub mod config;
 mod depth;
+pub mod draw;
 pub mod evaluate;
 pub mod export;
 mod field_model;
 mod field_worker;
 mod global_graph;
+pub mod html;
 pub mod input;
 pub mod observation;
 pub mod output;
@@ -40,6 +42,7 @@ mod pool;
 pub mod refine;
 pub mod report;
 mod rigid;
+pub mod segmenter;
 mod surface;
 pub mod texture;
 mod tracker;
@@ -53,9 +56,10 @@ pub use input::VideoInput;
 pub use observation::{Observation, Unusable};
 pub use output::OutputFolder;
 pub use pool::{Keyframe, MemoryPool};
-pub use report::{KeyframeReport, RunReport};
+pub use report::{KeyframeReport, RoundReport, RunReport};
+pub use segmenter::SegmenterChoice;
 pub use tracker::{FieldSummary, FrameResult, Reconstruction, StageTimes, Status, Tracker};
-pub use video::{Observer, RunError, VideoRun, run_video};
+pub use video::{Observer, RunError, VideoRun, run_tracker, run_video};
 
 #[cfg(doctest)]
 #[doc = include_str!("../README.md")]

@@ -82,7 +82,7 @@ impl Observation {
         if frame.color.size() != frame.depth.size()
             || frame.color.size() != mask.size()
             || frame.color.is_empty()
-            || !frame.intrinsics.is_valid()
+            || !is_plausible(&frame.intrinsics, frame.color.size())
         {
             return Err(Unusable::Malformed);
         }
@@ -218,6 +218,16 @@ impl Observation {
         });
         facing.count() as f64 / self.samples.len() as f64
     }
+}
+
+/// Whether the rays through the image's corners are those of a pinhole camera. A focal length near zero is positive and
+/// finite, but the points that it makes of the depth are neither here nor there.
+fn is_plausible(k: &Intrinsics, (width, height): (usize, usize)) -> bool {
+    /// Tangent of the largest angle from the optical axis, 89.9 degrees.
+    const WIDEST: f64 = 1e3;
+    let corners = [k.unproject(0.0, 0.0, 1.0), k.unproject(width as f64, height as f64, 1.0)];
+    // Also false for NaN.
+    k.is_valid() && corners.iter().flatten().all(|v| v.abs() <= WIDEST)
 }
 
 /// The frame at working resolution.

@@ -24,16 +24,19 @@ const MASKS: &str = "masks";
 const REFINED_POSES: &str = "ob_in_cam_refined";
 
 /// Files directly in the folder that a run or a later step writes.
-const FILES: [&str; 8] = [
+const FILES: [&str; 9] = [
     "run.json",
     "keyframes.json",
     "mesh.ply",
     "mesh.obj",
     "eval.json",
+    "report.html",
     "keyframes_refined.json",
     "mesh_refined.ply",
     "mesh_refined.obj",
 ];
+/// Frames with overlays, as `bundlesdf draw` writes them.
+const DRAWN: &str = "draw";
 
 /// A folder that holds one run's results.
 #[derive(Clone, Debug)]
@@ -136,6 +139,27 @@ impl OutputFolder {
         rgbd_io::read_mask(&self.root.join(MASKS).join(format!("{id}.png")))
     }
 
+    /// Reads `mesh.ply`; `None` when the run made no mesh.
+    ///
+    /// # Errors
+    /// When it is there and damaged.
+    pub fn read_mesh(&self) -> Result<Option<TriMesh>, Error> {
+        let path = self.root.join("mesh.ply");
+        if !path.exists() {
+            return Ok(None);
+        }
+        let damaged =
+            |problem: String| Error::new(&path, format!("can't be read ({problem})"), "run the video again");
+        let bytes = fs::read(&path).map_err(|e| damaged(e.to_string()))?;
+        marching_cubes::read_ply(&bytes).map(Some).map_err(|e| damaged(e.to_string()))
+    }
+
+    /// The folder of the frames that `bundlesdf draw` writes.
+    #[must_use]
+    pub fn drawn(&self) -> PathBuf {
+        self.root.join(DRAWN)
+    }
+
     fn read_json<T: DeserializeOwned>(&self, name: &str) -> Result<T, Error> {
         let path = self.root.join(name);
         let text = fs::read_to_string(&path)
@@ -216,7 +240,7 @@ impl OutputFolder {
 
 /// Removes what an earlier run wrote under its own names.
 fn remove_earlier_run(root: &Path) -> std::io::Result<()> {
-    for (dir, kind) in [(POSES, "txt"), (REFINED_POSES, "txt"), (MASKS, "png")] {
+    for (dir, kind) in [(POSES, "txt"), (REFINED_POSES, "txt"), (MASKS, "png"), (DRAWN, "png")] {
         let dir = root.join(dir);
         if !dir.is_dir() {
             continue;

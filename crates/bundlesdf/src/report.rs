@@ -2,10 +2,12 @@
 
 use marching_cubes::TriMesh;
 use nalgebra::Isometry3;
+use neural_field::StepLosses;
 use serde::{Deserialize, Serialize};
 
 use crate::{
     config::{Config, Schedule},
+    field_worker::FieldUpdate,
     input::VideoInput,
     pool::Keyframe,
     refine::RefinedKeyframe,
@@ -39,6 +41,9 @@ pub struct RunReport {
     pub mesh: MeshReport,
     /// Whether the run was stopped before the last frame.
     pub interrupted: bool,
+    /// What went wrong without ending the run, such as frames that could not be read.
+    #[serde(default)]
+    pub warnings: Vec<String>,
 }
 
 /// One frame of `run.json`.
@@ -108,6 +113,7 @@ impl RunReport {
             wall_s: run.wall.as_secs_f64(),
             mesh: run.reconstruction.mesh.as_ref().map_or_else(MeshReport::default, MeshReport::of),
             interrupted: run.interrupted,
+            warnings: run.unreadable.iter().map(ToString::to_string).collect(),
         }
     }
 
@@ -142,6 +148,67 @@ impl FrameReport {
 fn rows(pose: &Isometry3<f64>) -> [[f64; 4]; 4] {
     let m = pose.to_homogeneous();
     std::array::from_fn(|r| std::array::from_fn(|c| m[(r, c)]))
+}
+
+/// One finished round of the field in `run.json`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct RoundReport {
+    /// Keyframes that took part.
+    pub keyframes: usize,
+    /// Training steps, or iterations of the pose graph.
+    pub steps: usize,
+    /// Time (milliseconds).
+    pub ms: f64,
+    /// Mean training loss of consecutive equal parts of the round; empty when nothing was trained.
+    pub loss: Vec<f64>,
+    /// What the loss of the last part is made of.
+    pub terms: Option<LossTerms>,
+}
+
+/// The weighted terms of the training loss (paper section 3.4), in truncation units.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct LossTerms {
+    /// Distance near the surface.
+    pub surface: f64,
+    /// Empty space.
+    pub empty: f64,
+    /// Uncertain free space.
+    pub uncertain: f64,
+    /// Colour.
+    pub color: f64,
+    /// Eikonal regularisation.
+    pub eikonal: f64,
+}
+
+impl RoundReport {
+    /// Parts of a round: enough to draw its curve.
+    const PARTS: usize = 32;
+
+    pub(crate) fn of(update: &FieldUpdate) -> Self {
+        let losses = update.field.as_ref().map_or(&[][..], |field| field.losses());
+        let parts: Vec<_> = losses.chunks(losses.len().div_ceil(Self::PARTS).max(1)).collect();
+        let mean = |part: &[StepLosses], term: fn(&StepLosses) -> f64| {
+            rounded(part.iter().map(term).sum::<f64>() / part.len() as f64)
+        };
+        Self {
+            keyframes: update.poses.len(),
+            steps: update.steps,
+            ms: rounded(update.elapsed.as_secs_f64() * 1e3),
+            loss: parts.iter().map(|part| mean(part, StepLosses::total)).collect(),
+            terms: parts.last().map(|part| LossTerms {
+                surface: mean(part, |l| l.surface),
+                empty: mean(part, |l| l.empty),
+                uncertain: mean(part, |l| l.uncertain),
+                color: mean(part, |l| l.color),
+                eikonal: mean(part, |l| l.eikonal),
+            }),
+        }
+    }
+}
+
+/// To a millionth: more digits would only make the file longer.
+fn rounded(value: f64) -> f64 {
+    (value * 1e6).round() / 1e6
 }
 
 /// One keyframe of `keyframes.json` or `keyframes_refined.json`.

@@ -77,8 +77,20 @@ pub fn run_video(
     stop: &AtomicBool,
     observer: &mut dyn Observer,
 ) -> Result<VideoRun, RunError> {
+    run_tracker(source, Tracker::new(config.clone(), schedule)?, stop, observer)
+}
+
+/// [`run_video`] with a tracker that was set up by the caller.
+///
+/// # Errors
+/// When the first frame can't be read, or when the observer fails.
+pub fn run_tracker(
+    source: Arc<dyn FrameSource>,
+    mut tracker: Tracker,
+    stop: &AtomicBool,
+    observer: &mut dyn Observer,
+) -> Result<VideoRun, RunError> {
     let start = Instant::now();
-    let mut tracker = Tracker::new(config.clone(), schedule)?;
     let mut frames = Vec::with_capacity(source.len());
     let mut unreadable = Vec::new();
     let mut interrupted = false;

@@ -42,7 +42,8 @@ fn refused(video: &Path, words: &[&str]) {
         for file in files(&out).into_iter().filter(|f| f.is_file()) {
             let name = file.file_name().unwrap().to_str().unwrap().to_owned();
             assert!(
-                ["run.json", "keyframes.json", "mesh.ply", "mesh.obj"].contains(&name.as_str()),
+                ["run.json", "keyframes.json", "mesh.ply", "mesh.obj", "report.html"]
+                    .contains(&name.as_str()),
                 "{name}"
             );
         }
@@ -66,11 +67,78 @@ fn a_run_writes_a_pose_per_frame_and_its_report() {
     for key in ["segment", "match", "posegraph", "total"] {
         assert!(report["frames"][3]["ms"][key].is_number(), "{key}");
     }
-    assert!(out.join("keyframes.json").exists());
+    assert!(out.join("keyframes.json").exists() && out.join("report.html").exists());
     // A second run doesn't overwrite it unless told to.
     let again = bundlesdf(&args);
     assert_eq!(again.status.code(), Some(2));
     assert!(String::from_utf8_lossy(&again.stderr).contains("--force"));
+}
+
+#[test]
+fn a_finished_run_can_be_logged_reported_and_drawn() {
+    let (dir, video) = video(5);
+    let out = dir.path().join("out");
+    let (input, results) = (video.to_str().unwrap(), out.to_str().unwrap());
+    let config = dir.path().join("short.toml");
+    fs::write(&config, "[field]\nsteps = 20\nfinal_steps = 20\n").unwrap();
+    let config = config.to_str().unwrap();
+    let output = bundlesdf(&["run", input, "--out", results, "--config", config, "--json-log"]);
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let events: Vec<serde_json::Value> = String::from_utf8(output.stderr)
+        .unwrap()
+        .lines()
+        .map(|line| serde_json::from_str(line).unwrap_or_else(|e| panic!("{line}: {e}")))
+        .collect();
+    let named = |name: &str| events.iter().filter(|e| e["event"] == name).count();
+    assert_eq!((named("start"), named("frame"), named("finishing"), named("summary")), (1, 5, 1, 1));
+    let summary = events.last().unwrap();
+    assert_eq!((&summary["event"], &summary["frames"]), (&"summary".into(), &5.into()));
+
+    fs::remove_file(out.join("report.html")).unwrap();
+    assert!(bundlesdf(&["report", results]).status.success());
+    assert!(fs::read_to_string(out.join("report.html")).unwrap().contains("tracked"));
+
+    assert!(bundlesdf(&["draw", results, "--every", "2", "--what", "axes,mask"]).status.success());
+    let names: Vec<_> = files(&out.join("draw")).iter().map(|f| f.file_stem().unwrap().to_owned()).collect();
+    let poses: Vec<_> =
+        files(&out.join("ob_in_cam")).iter().map(|f| f.file_stem().unwrap().to_owned()).collect();
+    assert_eq!(names, poses.iter().step_by(2).cloned().collect::<Vec<_>>());
+    let drawn = rgbd_io::read_color(&files(&out.join("draw"))[0]).unwrap();
+    assert_eq!(drawn.size(), (160, 120));
+    let gif = dir.path().join("poses.gif");
+    assert!(bundlesdf(&["draw", results, "--video", gif.to_str().unwrap()]).status.success());
+    assert!(fs::read(&gif).unwrap().starts_with(b"GIF89a"));
+    // A run that replaces this one leaves no drawings of it behind.
+    assert!(bundlesdf(&["run", input, "--out", results, "--config", config, "--force"]).status.success());
+    assert!(files(&out.join("draw")).is_empty());
+}
+
+#[test]
+fn errors_follow_the_log_and_have_no_colours_off_a_terminal() {
+    let text = bundlesdf(&["report", "nowhere"]);
+    assert_eq!(text.status.code(), Some(2));
+    assert!(String::from_utf8_lossy(&text.stderr).starts_with("error: nowhere: holds no run.json"));
+    let json = bundlesdf(&["--json-log", "draw", "nowhere"]);
+    let event: serde_json::Value = serde_json::from_slice(&json.stderr).unwrap();
+    assert_eq!((&event["event"], &event["exit_code"]), (&"error".into(), &2.into()));
+    let both = bundlesdf(&["--json-log", "-v", "report", "nowhere"]);
+    assert_eq!(both.status.code(), Some(2));
+}
+
+#[test]
+fn shells_and_man_learn_every_command() {
+    let commands = ["demo", "run", "check", "report", "draw"];
+    for shell in ["bash", "zsh", "fish", "powershell", "elvish"] {
+        let script = String::from_utf8(bundlesdf(&["completions", shell]).stdout).unwrap();
+        assert!(commands.iter().all(|c| script.contains(c)), "{shell}");
+    }
+    let page = String::from_utf8(bundlesdf(&["man"]).stdout).unwrap();
+    assert!(page.contains(".TH") && page.contains("Exit codes"));
+    let dir = tempfile::tempdir().unwrap();
+    assert!(bundlesdf(&["man", "--out", dir.path().to_str().unwrap()]).status.success());
+    for command in commands {
+        assert!(dir.path().join(format!("bundlesdf-{command}.1")).is_file(), "{command}");
+    }
 }
 
 #[test]

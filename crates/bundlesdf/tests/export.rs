@@ -92,11 +92,11 @@ fn a_run_becomes_assets() {
         ["mesh.glb", "textured.png", "textured.mtl", "textured.obj", "textured.ply", "mesh.stl"]
     );
     assert!(report.faces <= 3000 && report.faces > 2900 && report.frame == "object");
-    // Half of the object was never in view: it is cut off.
+    // Most of the back was never in view, or only once: it is cut off.
     assert!(!report.watertight);
     let whole = Sequence::tiny().mesh().area();
     let mesh = marching_cubes::read_ply(&read(&folder, "textured.ply")).unwrap();
-    assert!((0.4..0.9).contains(&(mesh.area() / whole)), "{}", mesh.area() / whole);
+    assert!((0.25..0.9).contains(&(mesh.area() / whole)), "{}", mesh.area() / whole);
     assert_eq!(mesh.components().len(), 1);
     let json = glb_json(&read(&folder, "mesh.glb"));
     assert_eq!(json["images"][0]["mimeType"], "image/jpeg");

@@ -128,6 +128,8 @@ fn broken_frames(good: &RgbdFrame) -> Vec<RgbdFrame> {
         with(&|f| f.intrinsics.fx = 0.0),
         with(&|f| f.intrinsics.cy = f64::NAN),
         with(&|f| f.intrinsics.fx = 1e300),
+        with(&|f| f.intrinsics.fy = 1e-300),
+        with(&|f| f.intrinsics.cx = 1e300),
         RgbdFrame {
             id: String::new(),
             color: Image::default(),

@@ -29,6 +29,7 @@
 mod auc;
 mod chamfer;
 mod icp;
+mod masks;
 mod mesh;
 mod nearest;
 mod pose;
@@ -40,6 +41,7 @@ mod visibility;
 pub use auc::{auc, recall_curve};
 pub use chamfer::{Chamfer, chamfer_distance};
 pub use icp::{IcpOptions, icp};
+pub use masks::{BOUNDARY_TOLERANCE, MaskRef, boundary_f, region_similarity};
 pub use mesh::{MeshRef, keep_faces};
 pub use pose::{ModelPoints, add, add_s, alignment, rebase, rotation_error, translation_error};
 pub use protocol::{MeshProtocol, PoseScores, score_mesh, score_poses};

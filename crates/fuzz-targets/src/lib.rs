@@ -17,11 +17,14 @@ mod files;
 mod images;
 mod json;
 mod mesh;
+mod mutate;
 mod pickle;
 mod pose_graph;
 mod text;
 mod tracker;
 mod weights;
+
+pub use mutate::mutate;
 
 /// A kind of input.
 #[derive(Clone, Copy, Debug)]

@@ -5,6 +5,7 @@
 
 use crate::bytes::Bytes;
 use crate::check_pose;
+use bundlesdf::config::Refiner;
 use bundlesdf::{Config, Schedule, Tracker};
 use rgbd_io::{Image, Intrinsics, RgbdFrame};
 use rgbd_synth::{Sequence, SequenceSpec};
@@ -73,7 +74,11 @@ fn config(choice: u8) -> Config {
     config.memory.min_swing_deg = 2.0;
     config.graph.dense_pixels = 500;
     // The field trains in few inputs: a round takes as long as hundreds of frames.
-    config.field.enabled = choice & 0xc3 == 0xc3;
+    config.field.refiner = match choice & 0xc3 {
+        0xc3 => Refiner::Field,
+        0x80..=0x82 => Refiner::PoseGraph,
+        _ => Refiner::None,
+    };
     config.field.first_round_keyframes = 2;
     config.field.keyframes_per_round = 2;
     config.field.steps = 2;

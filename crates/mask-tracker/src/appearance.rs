@@ -15,6 +15,7 @@ pub(crate) struct Histogram {
     filled: bool,
 }
 
+#[inline]
 fn bin(c: Color) -> usize {
     let axis =
         |v: f32, width: f32, offset: f32, bins: usize| ((v / width + offset).max(0.0) as usize).min(bins - 1);
@@ -58,11 +59,6 @@ impl Histogram {
             *a += rate * (b - *a);
         }
     }
-
-    #[inline]
-    fn at(&self, c: Color) -> f32 {
-        self.density[bin(c)]
-    }
 }
 
 /// Binomial filter (1 2 1)/4 along each axis of the histogram.
@@ -82,60 +78,140 @@ fn smooth(density: &mut [f32]) {
     }
 }
 
-/// Object against background. Half of the object's model is the first frame's and is never forgotten.
-pub(crate) struct Appearance {
+/// Where background lies: about as far away as the object, as a hand is, or elsewhere. A colour that the wall has
+/// tells nothing of a cell at the object's depth.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Band {
+    Near,
+    Far,
+}
+
+/// A histogram of which half is the first frame's, where the labels are certain, and never forgotten.
+#[derive(Clone)]
+struct Anchored {
     anchor: Histogram,
-    object: Histogram,
-    background: Histogram,
+    recent: Histogram,
     /// Balanced accuracy of the sign of [`Appearance::log_ratio`] on the frames learnt from; 0.5 = useless.
     accuracy: f32,
 }
 
+impl Anchored {
+    fn new(anchor: Histogram) -> Self {
+        Self { recent: anchor.clone(), anchor, accuracy: 0.5 }
+    }
+
+    fn learn(&mut self, recent: &Histogram, rate: f32) {
+        self.recent.blend(recent, rate);
+    }
+
+    fn filled(&self) -> bool {
+        self.recent.filled
+    }
+
+    fn at_bin(&self, k: usize) -> f32 {
+        match (self.anchor.filled, self.recent.filled) {
+            (true, true) => 0.5 * (self.anchor.density[k] + self.recent.density[k]),
+            _ => self.recent.density[k],
+        }
+    }
+}
+
+/// Object against background.
+pub(crate) struct Appearance {
+    object: Anchored,
+    background: [Anchored; 2],
+    /// Log-likelihood ratio of every bin, by [`Band`]; follows from the histograms.
+    table: [Vec<f32>; 2],
+}
+
+/// Colours of one frame.
+pub(crate) struct FrameColors {
+    pub(crate) object: Histogram,
+    /// By [`Band`].
+    pub(crate) background: [Histogram; 2],
+}
+
 impl Appearance {
     pub(crate) fn empty() -> Self {
+        let nothing = || Anchored::new(Histogram::empty());
         Self {
-            anchor: Histogram::empty(),
-            object: Histogram::empty(),
-            background: Histogram::empty(),
-            accuracy: 0.5,
+            object: nothing(),
+            background: [nothing(), nothing()],
+            table: [vec![0.0; BINS], vec![0.0; BINS]],
         }
     }
 
-    pub(crate) fn start(object: Histogram, background: Histogram) -> Self {
-        Self { anchor: object.clone(), object, background, accuracy: 0.5 }
+    pub(crate) fn start(first: FrameColors) -> Self {
+        let mut appearance = Self {
+            object: Anchored::new(first.object),
+            background: first.background.map(Anchored::new),
+            ..Self::empty()
+        };
+        appearance.tabulate();
+        appearance
     }
 
-    pub(crate) fn learn(&mut self, object: &Histogram, background: &Histogram, rate: f32) {
-        self.object.blend(object, rate);
-        self.background.blend(background, rate);
-    }
-
-    /// Measures how well colour separates the two labels of a trusted frame.
-    pub(crate) fn grade(&mut self, log_ratio: &[f32], labels: &[bool], rate: f32) {
-        let mut hits = [0u32; 2];
-        let mut counts = [0u32; 2];
-        for (&l, &object) in log_ratio.iter().zip(labels) {
-            counts[usize::from(object)] += 1;
-            hits[usize::from(object)] += u32::from((l > 0.0) == object);
+    pub(crate) fn learn(&mut self, frame: &FrameColors, rate: f32) {
+        self.object.learn(&frame.object, rate);
+        for (model, recent) in self.background.iter_mut().zip(&frame.background) {
+            model.learn(recent, rate);
         }
-        if counts[0] > 0 && counts[1] > 0 {
-            let accuracy = 0.5 * (hits[0] as f32 / counts[0] as f32 + hits[1] as f32 / counts[1] as f32);
-            self.accuracy += rate * (accuracy - self.accuracy);
+        self.tabulate();
+    }
+
+    fn tabulate(&mut self) {
+        for (table, background) in self.table.iter_mut().zip(&self.background) {
+            let known = self.object.filled() && background.filled();
+            for (k, ratio) in table.iter_mut().enumerate() {
+                let odds = (self.object.at_bin(k) + FLOOR) / (background.at_bin(k) + FLOOR);
+                *ratio = if known { odds.ln().clamp(-3.0, 3.0) } else { 0.0 };
+            }
         }
     }
 
-    /// 0..1: how much colour decides.
-    pub(crate) fn reliability(&self) -> f32 {
-        ((self.accuracy - 0.6) / 0.35).clamp(0.0, 1.0)
+    /// Measures how well colour separates the two labels of a trusted frame, against each band's background.
+    pub(crate) fn grade(
+        &mut self,
+        colors: &[Color],
+        labels: &[bool],
+        band: impl Fn(usize) -> Band,
+        rate: f32,
+    ) {
+        for (which, slot) in [(Band::Near, 0), (Band::Far, 1)] {
+            let mut hits = [0u32; 2];
+            let mut counts = [0u32; 2];
+            for (i, (&c, &object)) in colors.iter().zip(labels).enumerate() {
+                if object || band(i) == which {
+                    counts[usize::from(object)] += 1;
+                    hits[usize::from(object)] += u32::from((self.log_ratio(c, which) > 0.0) == object);
+                }
+            }
+            if counts[0] > 20 && counts[1] > 20 {
+                let share = |k: usize| hits[k] as f32 / counts[k] as f32;
+                let model = &mut self.background[slot];
+                model.accuracy += rate * (0.5 * (share(0) + share(1)) - model.accuracy);
+            }
+        }
     }
 
-    /// `ln p(colour | object) / p(colour | background)`, within +-3; 0 when a model is missing.
-    pub(crate) fn log_ratio(&self, c: Color) -> f32 {
-        if !self.anchor.filled || !self.background.filled {
-            return 0.0;
+    /// 0..1: how much colour decides against the background of a band.
+    pub(crate) fn reliability(&self, band: Band) -> f32 {
+        ((self.background[band as usize].accuracy - 0.6) / 0.35).clamp(0.0, 1.0)
+    }
+
+    /// `ln p(colour | object) / p(colour | background in the band)`, within +-3; 0 when a model is missing.
+    pub(crate) fn log_ratio(&self, c: Color, band: Band) -> f32 {
+        self.table[band as usize][bin(c)]
+    }
+
+    /// [`Appearance::log_ratio`] against background anywhere.
+    pub(crate) fn log_ratio_anywhere(&self, c: Color) -> f32 {
+        let filled = |band: Band| self.background[band as usize].filled();
+        match (filled(Band::Near), filled(Band::Far)) {
+            (true, true) => self.log_ratio(c, Band::Near).min(self.log_ratio(c, Band::Far)),
+            (true, false) => self.log_ratio(c, Band::Near),
+            _ => self.log_ratio(c, Band::Far),
         }
-        let object = 0.5 * (self.anchor.at(c) + self.object.at(c));
-        ((object + FLOOR) / (self.background.at(c) + FLOOR)).ln().clamp(-3.0, 3.0)
     }
 }
 
@@ -150,8 +226,11 @@ mod tests {
         let blue = opponent([40.0, 40.0, 200.0]);
         let object = Histogram::from_colors(std::iter::repeat_n(red, 50));
         assert!((object.density.iter().sum::<f32>() - 1.0).abs() < 1e-4);
-        let model = Appearance::start(object, Histogram::from_colors(std::iter::repeat_n(blue, 50)));
-        assert!(model.log_ratio(red) > 2.0 && model.log_ratio(blue) < -2.0);
-        assert_eq!(Appearance::empty().log_ratio(red), 0.0);
+        let blues = Histogram::from_colors(std::iter::repeat_n(blue, 50));
+        let model = Appearance::start(FrameColors { object, background: [Histogram::empty(), blues] });
+        assert!(model.log_ratio(red, Band::Far) > 2.0 && model.log_ratio(blue, Band::Far) < -2.0);
+        assert_eq!(model.log_ratio(blue, Band::Near), 0.0);
+        assert!(model.log_ratio_anywhere(blue) < -2.0);
+        assert_eq!(Appearance::empty().log_ratio_anywhere(red), 0.0);
     }
 }

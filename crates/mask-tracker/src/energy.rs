@@ -1,8 +1,10 @@
 //! The segmentation energy: one signed preference per cell from every cue, smoothness across edges.
 
+use crate::appearance::{Appearance, Band};
 use crate::distance::nearest;
 use crate::grid::{Grid, color_distance2, depth_noise};
 use crate::maxflow::{GridCut, OFFSETS};
+use crate::memory::band;
 use crate::propagate::Options;
 use crate::surface::{Surface, offset};
 use crate::warp::{Layer, color_match};
@@ -10,10 +12,7 @@ use crate::warp::{Layer, color_match};
 /// The cues of one frame, all on the same window.
 pub(crate) struct Cues<'a> {
     pub(crate) grid: &'a Grid,
-    /// Colour log-likelihood ratio per cell.
-    pub(crate) log_ratio: &'a [f32],
-    /// Weight of `log_ratio`: how well colour has told object from background so far.
-    pub(crate) color_weight: f32,
+    pub(crate) appearance: &'a Appearance,
     /// Object points of the last frame at their predicted place.
     pub(crate) object: &'a Layer,
     /// Background points of the last frame moved as if attached to the object (a hand, a gripper).
@@ -21,6 +20,8 @@ pub(crate) struct Cues<'a> {
     /// Background points of the last frame where they were.
     pub(crate) still: &'a Layer,
     pub(crate) surface: Option<&'a Surface>,
+    /// What the space around the object says of every cell's point, see [`crate::volume::Volume::testimony`].
+    pub(crate) space: Option<&'a [f32]>,
     /// After the pose: the model decides where it covers.
     pub(crate) refined: bool,
 }
@@ -30,10 +31,21 @@ pub(crate) struct Unaries {
     pub(crate) total: Vec<f32>,
     /// What speaks for the cell besides its place: colour, depth, persistence and model.
     pub(crate) evidence: Vec<f32>,
-    /// Cells where the warped object is plausible (not occluded, not gone).
+    /// The colour's part of it.
+    pub(crate) color: Vec<f32>,
+    /// Cells where the warped object is plausible (not occluded, not gone), and others that can only be a part of it
+    /// that wasn't in view.
     pub(crate) predicted: Vec<bool>,
+    /// 0..1: how long the cell's point has been seen as background, where it still looks like that.
+    pub(crate) held: Vec<f32>,
 }
 
+/// Background that has been seen for longer than this (0..1) is certain to be background.
+pub(crate) const KNOWN: f32 = 0.7;
+/// Weighted colour log-likelihood ratio that only the object's own colours reach.
+const SURE_COLOR: f32 = 1.5;
+/// Cells within which a part cut off from the object is looked for.
+const BESIDE: f32 = 12.0;
 const LOG_ODDS_SCALE: f32 = 64.0;
 
 /// Weighs all cues.
@@ -43,21 +55,72 @@ pub(crate) fn unaries(cues: &Cues<'_>, options: &Options, focal: f32) -> Unaries
     let predicted: Vec<bool> = (0..n).map(|i| plausible(cues, options, i)).collect();
     let to_object = nearest(grid.window.w, grid.window.h, |i| predicted[i]);
     let to_outside = nearest(grid.window.w, grid.window.h, |i| !predicted[i]);
-    let mut total = Vec::with_capacity(n);
-    let mut evidence = Vec::with_capacity(n);
+    let mut all = Unaries {
+        total: Vec::with_capacity(n),
+        evidence: Vec::with_capacity(n),
+        color: Vec::with_capacity(n),
+        predicted: predicted.clone(),
+        held: Vec::with_capacity(n),
+    };
     for i in 0..n {
-        let place = place(to_object.distance[i], to_outside.distance[i]);
-        let color = cues.color_weight * cues.log_ratio[i];
-        let layering = layering(cues, to_object.seed[i], to_object.distance[i], i, focal);
-        let persistence = persistence(cues, i);
-        let model = cues.surface.map_or(0.0, |s| testimony(s, grid.depth[i], i, cues.refined, options));
-        // Where the model agrees it has seen the object: colour may vary by light, the surface doesn't.
-        let color = if model > 0.8 && color < 0.0 { 0.7 * color } else { color };
-        let e = color + layering + persistence + model;
-        evidence.push(e);
-        total.push(e + place);
+        let reference = reference(cues, to_object.seed[i]);
+        let color = color(cues, i, reference);
+        let new = is_new(cues, i);
+        let mut layering = layering(cues, reference, to_object.distance[i], i, focal);
+        let mut place = place(to_object.distance[i], to_outside.distance[i]);
+        let (object, background, age) = persistence(cues, i);
+        let near = band(grid.depth[i], reference) == Band::Near;
+        if new && near && color > 0.0 && age < KNOWN {
+            // It may be a part of the object that has come into view: those are where nothing was known.
+            layering /= 1.0 + color;
+            place *= 0.4;
+        }
+        if near && color > SURE_COLOR && age < KNOWN && to_object.distance[i] < BESIDE {
+            // Nothing else around has this colour: it may be a part that an occluder cuts off from the rest.
+            place = place.max(-1.5);
+        }
+        let model =
+            cues.surface.map_or(0.0, |s| testimony(s, grid.depth[i], i, cues.refined, color, options));
+        let space = cues.space.map_or(0.0, |s| s[i]) * if cues.refined { 1.0 } else { 0.6 };
+        // What has the colours of the hand may have been taken for the object before: being where the object was
+        // seen to be then speaks for less.
+        let memory = object + model + space;
+        let doubt = (1.0 - 0.5 * object) * color / 3.0;
+        let memory = if memory > 0.0 { memory * (1.0 + doubt).clamp(0.2, 1.0) } else { memory };
+        let e = color + layering - background + memory;
+        all.evidence.push(e);
+        all.color.push(color);
+        all.total.push(e + place);
+        all.held.push(age);
+        all.predicted[i] |= new && near && color > 0.5 && layering > -0.5 && space > -0.5;
     }
-    Unaries { total, evidence, predicted }
+    all
+}
+
+/// Weighted colour log-likelihood ratio of a cell whose neighbouring object lies at depth `reference`.
+fn color(cues: &Cues<'_>, i: usize, reference: f32) -> f32 {
+    let band = band(cues.grid.depth[i], reference);
+    let weight = 0.35 + 0.65 * cues.appearance.reliability(band);
+    weight * cues.appearance.log_ratio(cues.grid.color[i], band)
+}
+
+/// Depth of the predicted object at the cell `seed`, 0 if unknown.
+fn reference(cues: &Cues<'_>, seed: u32) -> f32 {
+    let seed = seed as usize;
+    match (cues.object.measured.get(seed), cues.surface) {
+        (Some(true), _) => cues.object.depth[seed],
+        (Some(false), Some(surface)) => surface.near[seed],
+        _ => 0.0,
+    }
+}
+
+/// The cell shows something that wasn't in view in the last frame, neither where it is nor moved along with the
+/// object: a part of the object that has come into view, or something that has come between.
+fn is_new(cues: &Cues<'_>, i: usize) -> bool {
+    let z = cues.grid.depth[i];
+    let explains =
+        |layer: &Layer| layer.measured[i] && (z - layer.depth[i]).abs() < 0.006 + 3.0 * depth_noise(z);
+    z > 0.0 && !explains(cues.still) && !explains(cues.carried)
 }
 
 /// The predicted object is possible at `i`: the observed depth is neither an occluder's nor the background's, and a
@@ -69,7 +132,7 @@ fn plausible(cues: &Cues<'_>, options: &Options, i: usize) -> bool {
         && surface.near[i] > 0.0
         && surface.weight > 0.5
         && offset(z, surface.near[i], surface.far[i]).abs() < options.in_front
-        && cues.color_weight * cues.log_ratio[i] > -1.0
+        && color(cues, i, z) > -1.0
     {
         return true;
     }
@@ -96,15 +159,9 @@ fn place(to_object: f32, to_outside: f32) -> f32 {
 
 /// Depth against the nearest predicted object cell: far in front or behind is something else, and the tolerance
 /// grows with the distance over which the surface had to be continued.
-fn layering(cues: &Cues<'_>, seed: u32, distance: f32, i: usize, focal: f32) -> f32 {
+fn layering(cues: &Cues<'_>, reference: f32, distance: f32, i: usize, focal: f32) -> f32 {
     let z = cues.grid.depth[i];
-    let seed = seed as usize;
-    let reference = match (cues.object.measured.get(seed), cues.surface) {
-        (Some(true), _) => cues.object.depth[seed],
-        (Some(false), Some(surface)) if surface.near[seed] > 0.0 => surface.near[seed],
-        _ => return 0.0,
-    };
-    if z <= 0.0 {
+    if z <= 0.0 || reference <= 0.0 {
         return 0.0;
     }
     let reach = distance * cues.grid.window.step as f32 * z / focal;
@@ -114,8 +171,9 @@ fn layering(cues: &Cues<'_>, seed: u32, distance: f32, i: usize, focal: f32) -> 
 }
 
 /// Cells that look as predicted keep their label: the object's points moved with it, the background's either stayed
-/// or moved along (what holds the object).
-fn persistence(cues: &Cues<'_>, i: usize) -> f32 {
+/// or moved along (what holds the object). The preferences for object and for background, and how long what is seen
+/// here has been background.
+fn persistence(cues: &Cues<'_>, i: usize) -> (f32, f32, f32) {
     let likeness = |layer: &Layer| {
         if layer.depth[i] <= 0.0 {
             return 0.0;
@@ -133,14 +191,15 @@ fn persistence(cues: &Cues<'_>, i: usize) -> f32 {
         color * depth
     };
     let object = likeness(cues.object) * cues.object.trust[i];
-    let carried = likeness(cues.carried) * cues.carried.trust[i];
-    let still = likeness(cues.still) * cues.still.trust[i];
-    let background = carried.max(0.8 * still);
-    2.0 * object - 1.2 * background
+    let (carried, still) = (likeness(cues.carried), likeness(cues.still));
+    let (carried_age, still_age) = (cues.carried.trust[i], cues.still.trust[i]);
+    let age = |likeness: f32, trust: f32| if likeness > 0.5 { trust } else { 0.0 };
+    let background = (carried * carried_age).max(0.8 * still * still_age);
+    (2.0 * object, 1.2 * background, age(carried, carried_age).max(age(still, still_age)))
 }
 
 /// The model's word on a cell that it covers.
-fn testimony(surface: &Surface, z: f32, i: usize, refined: bool, options: &Options) -> f32 {
+fn testimony(surface: &Surface, z: f32, i: usize, refined: bool, color: f32, options: &Options) -> f32 {
     let (near, far) = (surface.near[i], surface.far[i]);
     if near <= 0.0 {
         return 0.0;
@@ -154,7 +213,10 @@ fn testimony(surface: &Surface, z: f32, i: usize, refined: bool, options: &Optio
     let front = options.in_front + slack;
     let behind = options.behind + slack;
     if d < 0.0 {
-        strength * (2.5 - 5.5 * ((-d - 0.5 * front) / front).clamp(0.0, 1.0))
+        // In front of the surface seen so far there is an occluder, or, if it has the object's colours, a part of
+        // the object that has turned into view.
+        let against = if color > 0.0 { 5.5 - 3.0 * color.min(1.0) } else { 5.5 };
+        strength * (2.5 - against * ((-d - 0.5 * front) / front).clamp(0.0, 1.0))
     } else {
         strength * (2.5 - 6.5 * ((d - 0.4 * behind) / (0.8 * behind)).clamp(0.0, 1.0))
     }

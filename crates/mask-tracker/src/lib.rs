@@ -39,17 +39,26 @@
 mod appearance;
 mod distance;
 mod energy;
+mod first;
 mod given;
 mod grid;
 mod maxflow;
+mod memory;
+mod naming;
+pub mod pipe;
 mod propagate;
 mod redetect;
+mod stages;
 mod surface;
 mod upsample;
+mod volume;
 mod warp;
 
-pub use given::GivenMasks;
+pub use first::{Hints, first_mask};
+pub use given::{GivenMasks, resample};
+pub use naming::{NamingError, pair_masks};
 pub use propagate::{Options, Propagate};
+pub use stages::StageTimes;
 
 use nalgebra::Isometry3;
 use rgbd_io::{Mask, RgbdFrame};

@@ -3,14 +3,18 @@
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use rgbd_io::{Image, Mask, RgbdFrame};
 
-use crate::appearance::{Appearance, Histogram};
-use crate::distance::nearest;
-use crate::energy::{Cues, Unaries, cut, edges, keep_connected, unaries};
-use crate::grid::{Bounds, Camera, EMPTY_BOUNDS, Grid, Window, include};
+use crate::appearance::Appearance;
+use crate::energy::{Cues, KNOWN, Unaries, cut, edges, keep_connected, unaries};
+use crate::grid::{Bounds, Camera, Grid, Window};
+use crate::memory::{
+    Memory, band, center, frame_colors, lift, mask_bounds, mask_cells, object_depth, still_hidden,
+};
 use crate::redetect;
+use crate::stages::{Clock, Stage, StageTimes};
 use crate::surface::Surface;
 use crate::upsample::upsample;
-use crate::warp::{Layer, Sample, align, bounds, moved};
+use crate::volume::Volume;
+use crate::warp::{Layer, Sample, align, bounds, moved, trimmed_bounds};
 use crate::{Prior, Segmentation, VideoSegmenter};
 
 /// Settings of [`Propagate`]; the defaults suit consumer depth cameras and objects of 3 cm to 50 cm.
@@ -57,25 +61,13 @@ pub struct Propagate {
     appearance: Appearance,
     memory: Option<Memory>,
     work: Option<Work>,
-}
-
-/// The object as last seen.
-struct Memory {
-    samples: Vec<Sample>,
-    cam_from_obj: Option<Isometry3<f64>>,
-    /// Camera-frame translation of the last step, metres.
-    velocity: Vector3<f32>,
-    /// Frames since the object was last seen.
-    missing: u32,
-    /// No frame has followed the first one yet.
-    fresh: bool,
+    clock: Clock,
 }
 
 /// The current frame between `next` and `refine`.
 struct Work {
     grid: Grid,
     edges: Vec<[i32; 8]>,
-    log_ratio: Vec<f32>,
     motion: Isometry3<f32>,
     /// How badly the moved samples agree with the image, about 0..1.
     mismatch: f32,
@@ -89,6 +81,9 @@ struct Found {
     labels: Vec<bool>,
     object: Layer,
     evidence: Vec<f32>,
+    /// Weighted colour log-likelihood ratio.
+    color: Vec<f32>,
+    held: Vec<f32>,
     confidence: f32,
     /// Object cells over visible predicted cells.
     coverage: f32,
@@ -103,7 +98,12 @@ impl Default for Propagate {
 impl Propagate {
     /// A segmenter that waits for [`VideoSegmenter::start`].
     pub fn new(options: Options) -> Self {
-        Self { options, appearance: Appearance::empty(), memory: None, work: None }
+        Self { options, appearance: Appearance::empty(), memory: None, work: None, clock: Clock::default() }
+    }
+
+    /// Where the time went so far.
+    pub fn stage_times(&self) -> StageTimes {
+        self.clock.times()
     }
 
     /// Motion of the object's points since the last frame, before looking at the new one.
@@ -133,19 +133,23 @@ impl Propagate {
         }
         let margin = 12.0 + 0.3 * (region[2] - region[0]).max(region[3] - region[1]).min(400.0);
         let window = Window::around(region, margin, size, self.options.max_cells)?;
-        let grid = Grid::new(frame, window);
-        let log_ratio: Vec<f32> = grid.color.iter().map(|&c| self.appearance.log_ratio(c)).collect();
+        let grid = self.clock.time(Stage::Grid, || Grid::new(frame, window));
+        let log_ratio: Vec<f32> = grid.color.iter().map(|&c| self.appearance.log_ratio_anywhere(c)).collect();
         let reach = (margin / window.step as f32) as i32;
         let posed = prior.cam_from_obj.is_some() && memory.cam_from_obj.is_some();
         let radius = if posed { reach / 2 } else { reach }.clamp(3, 28);
-        let (shift, mut lowest) = align(&grid, &log_ratio, &memory.samples, &motion, &camera, radius);
+        let fit = |motion: &Isometry3<f32>, radius| {
+            self.clock
+                .time(Stage::Align, || align(&grid, &log_ratio, &memory.samples, motion, &camera, radius))
+        };
+        let (shift, mut lowest) = fit(&motion, radius);
         let mut best = shift * motion;
         // A prediction that explains the image worse than none is not used. Standing still wins a tie against the
         // last step repeated, which would otherwise creep by fractions of a cell.
         let still = (Isometry3::identity(), 2, if posed { 0.02 } else { -0.004 });
         let steady = (Self::steady_motion(memory), radius, 0.02);
         for (other, radius, handicap) in [still, steady].into_iter().take(if posed { 2 } else { 1 }) {
-            let (shift, cost) = align(&grid, &log_ratio, &memory.samples, &other, &camera, radius);
+            let (shift, cost) = fit(&other, radius);
             if cost + handicap < lowest {
                 lowest = cost + handicap;
                 best = shift * other;
@@ -156,9 +160,9 @@ impl Propagate {
             (Some(_), Some(then)) => Some(motion * then.cast::<f32>()),
             (now, _) => now.map(|pose| shift * pose.cast::<f32>()),
         };
-        let edges = edges(&grid, self.options.smoothness);
-        let found = self.minimise(&grid, &edges, &log_ratio, &motion, pose, prior, &camera, false)?;
-        Some(Work { grid, edges, log_ratio, motion, mismatch: lowest, found, camera, size })
+        let edges = self.clock.time(Stage::Cues, || edges(&grid, self.options.smoothness));
+        let found = self.minimise(&grid, &edges, &motion, pose, prior, &camera, false)?;
+        Some(Work { grid, edges, motion, mismatch: lowest, found, camera, size })
     }
 
     #[allow(clippy::too_many_arguments)]
@@ -166,7 +170,6 @@ impl Propagate {
         &self,
         grid: &Grid,
         edges: &[[i32; 8]],
-        log_ratio: &[f32],
         motion: &Isometry3<f32>,
         cam_from_obj: Option<Isometry3<f32>>,
         prior: &Prior<'_>,
@@ -175,27 +178,37 @@ impl Propagate {
     ) -> Option<Found> {
         let memory = self.memory.as_ref()?;
         let (samples, window) = (&memory.samples, &grid.window);
-        let object = Layer::draw(samples, |s| s.object, motion, camera, window);
-        let carried = Layer::draw(samples, |s| !s.object, motion, camera, window);
-        let still = Layer::draw(samples, |s| !s.object, &Isometry3::identity(), camera, window);
-        let surface = cam_from_obj.and_then(|pose| {
-            let mut surface = Surface::draw(prior.model, &pose, camera, window, prior.confidence)?;
-            surface.weigh(grid, |i| object.depth[i] > 0.0);
-            Some(surface)
-        });
-        let cues = Cues {
-            grid,
-            log_ratio,
-            color_weight: 0.35 + 0.65 * self.appearance.reliability(),
-            object: &object,
-            carried: &carried,
-            still: &still,
-            surface: surface.as_ref(),
-            refined,
-        };
-        let Unaries { total, evidence, predicted } =
-            unaries(&cues, &self.options, 0.5 * (camera.fx + camera.fy));
-        let mut labels = cut(grid, edges, &total);
+        let (object, Unaries { total, evidence, color, predicted, held }) =
+            self.clock.time(Stage::Cues, || {
+                // Samples from a coarser grid cover several cells of this one.
+                let size = memory.step.div_ceil(window.step).min(8) as i32;
+                let object = Layer::draw(samples, |s| s.object, motion, camera, window, size);
+                let carried = Layer::draw(samples, |s| !s.object, motion, camera, window, size);
+                let still = Layer::draw(samples, |s| !s.object, &Isometry3::identity(), camera, window, size);
+                let surface = cam_from_obj.and_then(|pose| {
+                    let mut surface = Surface::draw(prior.model, &pose, camera, window, prior.confidence)?;
+                    surface.weigh(grid, |i| object.depth[i] > 0.0);
+                    Some(surface)
+                });
+                let space = cam_from_obj.zip(memory.volume.as_ref()).map(|(pose, volume)| {
+                    let mut space = volume.testimony(grid, camera, &pose);
+                    weigh_space(&mut space, |i| object.depth[i] > 0.0 && object.hidden[i] == 0);
+                    space
+                });
+                let cues = Cues {
+                    grid,
+                    appearance: &self.appearance,
+                    object: &object,
+                    carried: &carried,
+                    still: &still,
+                    surface: surface.as_ref(),
+                    space: space.as_deref(),
+                    refined,
+                };
+                let unaries = unaries(&cues, &self.options, 0.5 * (camera.fx + camera.fy));
+                (object, unaries)
+            });
+        let mut labels = self.clock.time(Stage::Cut, || cut(grid, edges, &total));
         keep_connected(&mut labels, &predicted, window.w, window.h);
         let area = labels.iter().filter(|&&l| l).count();
         let visible = (0..window.len()).filter(|&i| object.depth[i] > 0.0 && object.hidden[i] == 0).count();
@@ -206,7 +219,7 @@ impl Propagate {
         let confidence = verified as f32 / area.max(1) as f32
             * ((seen - 0.02) / 0.2).clamp(0.0, 1.0)
             * (2.0 / coverage.max(1e-3)).min(1.0);
-        Some(Found { labels, object, evidence, confidence, coverage })
+        Some(Found { labels, object, evidence, color, held, confidence, coverage })
     }
 
     fn lost(&mut self, size: (usize, usize), confidence: f32) -> Segmentation {
@@ -225,24 +238,38 @@ impl Propagate {
 
     /// Remembers the frame: its cells become the samples of the next, colour models learn if it is trusted.
     fn commit(&mut self, cam_from_obj: Option<Isometry3<f64>>) {
+        let clock = std::mem::take(&mut self.clock);
+        clock.time(Stage::Learn, || self.learn(cam_from_obj));
+        self.clock = clock;
+    }
+
+    fn learn(&mut self, cam_from_obj: Option<Isometry3<f64>>) {
         let Some(work) = self.work.take() else { return };
         let Some(memory) = &mut self.memory else { return };
         let old_center = center(&memory.samples);
         let mut samples = lift(&work.grid, &work.camera, &work.found.labels);
         for (s, i) in &mut samples {
             let before = if work.found.object.depth[*i] > 0.0 { work.found.object.trust[*i] } else { 0.3 };
-            let change = if work.found.evidence[*i] > 0.0 { 0.1 } else { -0.1 };
+            let color = work.found.color[*i];
+            // What hasn't long been object and looks like what surrounds it was taken for object by mistake.
+            let doubtful = before < 0.6 && color < -1.0;
+            let change = if work.found.evidence[*i] > 0.0 && !doubtful { 0.1 } else { -0.2 };
             // Background that looks like the object may be a part of it that was missed: it must not hold on to
             // its label by its looks alone.
-            let doubt = self.appearance.reliability() * (0.5 + 0.4 * work.log_ratio[*i]).clamp(0.0, 1.0);
-            s.trust = if s.object { (before + change).clamp(0.1, 1.0) } else { 1.0 - doubt };
+            let doubt = (0.5 + 0.4 * color).clamp(0.0, 1.0);
+            let held = work.found.held[*i].max(0.2) + if color < -0.3 { 0.1 } else { 0.0 };
+            s.trust = if s.object { (before + change).clamp(0.1, 1.0) } else { held.min(1.0 - doubt) };
         }
         let mut samples: Vec<Sample> = samples.into_iter().map(|(s, _)| s).collect();
         // One hidden sample per cell is enough; the flicker of outlines would pile them up.
         let mut taken = vec![false; work.grid.window.len()];
         for s in memory.samples.iter().filter(|s| s.object && s.hidden < self.options.memory_frames) {
-            if let Some((kept, i)) = still_hidden(s, &work, &self.options)
-                && !taken[i]
+            if let Some((kept, i)) = still_hidden(
+                s,
+                &work.motion,
+                (&work.grid, &work.camera, &work.found.labels),
+                self.options.in_front,
+            ) && !taken[i]
             {
                 taken[i] = true;
                 samples.push(kept);
@@ -256,14 +283,25 @@ impl Propagate {
             memory.velocity = Vector3::zeros();
         }
         memory.samples = samples;
+        memory.step = work.grid.window.step;
         memory.cam_from_obj = cam_from_obj;
         memory.missing = 0;
         let trusted = work.found.confidence >= self.options.learn_confidence
             && (0.6..1.5).contains(&work.found.coverage);
         if trusted {
-            let (object, background) = histograms(&work.grid, &work.found.labels, Some(&work.log_ratio));
-            self.appearance.grade(&work.log_ratio, &work.found.labels, 0.1);
-            self.appearance.learn(&object, &background, self.options.learning_rate);
+            // What looks like the object may be a part of it that was missed, and new things are uncertain: only
+            // what has long been background teaches how that looks.
+            let labels = &work.found.labels;
+            let known =
+                |i: usize| if labels[i] { work.found.evidence[i] > 0.0 } else { work.found.held[i] > KNOWN };
+            let reference = object_depth(&work.grid, labels);
+            let colors = frame_colors(&work.grid, labels, &reference, known);
+            let band = |i: usize| band(work.grid.depth[i], reference[i]);
+            self.appearance.grade(&work.grid.color, labels, band, 0.1);
+            self.appearance.learn(&colors, self.options.learning_rate);
+            if let Some(pose) = cam_from_obj {
+                learn_space(memory, &work, &pose.cast());
+            }
         }
     }
 }
@@ -283,13 +321,19 @@ impl VideoSegmenter for Propagate {
         let Some(window) = Window::around(region, margin, size, self.options.max_cells) else { return };
         let grid = Grid::new(frame, window);
         let labels = mask_cells(mask, &window);
-        let (object, background) = histograms(&grid, &labels, None);
-        self.appearance = Appearance::start(object, background);
-        let log_ratio: Vec<f32> = grid.color.iter().map(|&c| self.appearance.log_ratio(c)).collect();
-        self.appearance.grade(&log_ratio, &labels, 1.0);
+        let reference = object_depth(&grid, &labels);
+        self.appearance = Appearance::start(frame_colors(&grid, &labels, &reference, |_| true));
+        self.appearance.grade(&grid.color, &labels, |i| band(grid.depth[i], reference[i]), 1.0);
         let samples = lift(&grid, &camera, &labels).into_iter().map(|(s, _)| s).collect();
-        self.memory =
-            Some(Memory { samples, cam_from_obj: None, velocity: Vector3::zeros(), missing: 0, fresh: true });
+        self.memory = Some(Memory {
+            samples,
+            step: window.step,
+            volume: None,
+            cam_from_obj: None,
+            velocity: Vector3::zeros(),
+            missing: 0,
+            fresh: true,
+        });
     }
 
     fn next(&mut self, frame: &RgbdFrame, prior: &Prior<'_>) -> Segmentation {
@@ -312,7 +356,11 @@ impl VideoSegmenter for Propagate {
             let elsewhere = self
                 .memory
                 .as_ref()
-                .and_then(|m| redetect::search(frame, &self.appearance, &m.samples, &motion, &camera))
+                .and_then(|m| {
+                    self.clock.time(Stage::Search, || {
+                        redetect::search(frame, &self.appearance, &m.samples, &motion, &camera)
+                    })
+                })
                 .and_then(|shift| self.try_motion(frame, &Prior::default(), shift * motion));
             if let Some(again) = elsewhere
                 && self.present(&again, 0.6)
@@ -324,7 +372,8 @@ impl VideoSegmenter for Propagate {
         }
         match work {
             Some(work) if self.present(&work, threshold) => {
-                let mask = upsample(frame, &work.grid, &work.found.labels);
+                let mask =
+                    self.clock.time(Stage::Upsample, || upsample(frame, &work.grid, &work.found.labels));
                 let confidence = work.found.confidence;
                 self.work = Some(work);
                 Segmentation::new(mask, confidence)
@@ -349,22 +398,13 @@ impl VideoSegmenter for Propagate {
         }
         let Some(work) = self.work.take() else { return found };
         let pose = prior.cam_from_obj.map(|pose| pose.cast());
-        let again = self.minimise(
-            &work.grid,
-            &work.edges,
-            &work.log_ratio,
-            &work.motion,
-            pose,
-            prior,
-            &work.camera,
-            true,
-        );
+        let again = self.minimise(&work.grid, &work.edges, &work.motion, pose, prior, &work.camera, true);
         let Some(again) = again else { return found };
         let work = Work { found: again, ..work };
         if !self.present(&work, self.options.min_confidence) {
             return self.lost(size, work.found.confidence);
         }
-        let mask = upsample(frame, &work.grid, &work.found.labels);
+        let mask = self.clock.time(Stage::Upsample, || upsample(frame, &work.grid, &work.found.labels));
         let confidence = work.found.confidence;
         self.work = Some(work);
         self.commit(prior.cam_from_obj);
@@ -372,20 +412,46 @@ impl VideoSegmenter for Propagate {
     }
 }
 
+/// Carves the space around the object and counts what was seen in it; made with the first trusted pose.
+fn learn_space(memory: &mut Memory, work: &Work, cam_from_obj: &Isometry3<f32>) {
+    let labels = &work.found.labels;
+    if memory.volume.is_none() {
+        let obj_from_cam = cam_from_obj.inverse();
+        let points = memory.samples.iter().filter(|s| s.object && s.measured);
+        memory.volume =
+            Volume::around(points.map(|s| moved(s.point, &obj_from_cam)), moved([0.0; 3], &obj_from_cam));
+    }
+    if let Some(volume) = &mut memory.volume {
+        let evidence = &work.found.evidence;
+        let (held, color) = (&work.found.held, &work.found.color);
+        let sure = |i: usize| if labels[i] { evidence[i] > 0.0 && color[i] > -1.0 } else { held[i] > KNOWN };
+        volume.learn(&work.grid, &work.camera, cam_from_obj, labels, sure);
+    }
+}
+
+/// A wrong pose puts the object itself into empty space: the more of it that happens to, the less the space says.
+fn weigh_space(space: &mut [f32], is_object: impl Fn(usize) -> bool) {
+    let (mut empty, mut all) = (0u32, 0u32);
+    for i in (0..space.len()).filter(|&i| is_object(i)) {
+        all += 1;
+        empty += u32::from(space[i] < -0.5);
+    }
+    let share = empty as f32 / all.max(1) as f32;
+    let weight = ((0.4 - share) / 0.2).clamp(0.0, 1.0);
+    space.iter_mut().for_each(|s| *s *= weight);
+}
+
 fn extend_by_model(region: &mut Bounds, prior: &Prior<'_>, camera: &Camera) {
     let Some(pose) = prior.cam_from_obj else { return };
     let pose: Isometry3<f32> = pose.cast();
     let stride = (prior.model.len() / 400).max(1);
-    let mut model = EMPTY_BOUNDS;
-    for point in prior.model.iter().step_by(stride) {
-        if let Some([u, v]) = camera.project(moved(point.position, &pose)) {
-            include(&mut model, u, v);
-        }
-    }
+    let projected =
+        prior.model.iter().step_by(stride).filter_map(|p| camera.project(moved(p.position, &pose)));
+    let Some(model) = trimmed_bounds(projected) else { return };
     // A model far from the last mask is a wrong pose: it must not stretch the window over the image.
     let size = (region[2] - region[0]).max(region[3] - region[1]).max(20.0);
     let apart = (0..4).any(|k| (model[k] - region[k]).abs() > 1.5 * size);
-    if model[0] <= model[2] && !apart {
+    if !apart {
         *region = [
             region[0].min(model[0]),
             region[1].min(model[1]),
@@ -393,98 +459,4 @@ fn extend_by_model(region: &mut Bounds, prior: &Prior<'_>, camera: &Camera) {
             region[3].max(model[3]),
         ];
     }
-}
-
-fn mask_bounds(mask: &Mask) -> Option<Bounds> {
-    let mut b = EMPTY_BOUNDS;
-    for y in 0..mask.height() {
-        for (x, _) in mask.row(y).iter().enumerate().filter(|(_, m)| **m != 0) {
-            include(&mut b, x as f32, y as f32);
-        }
-    }
-    (b[0] <= b[2]).then_some(b)
-}
-
-/// Cells of which at least half is mask.
-fn mask_cells(mask: &Mask, window: &Window) -> Vec<bool> {
-    let mut labels = Vec::with_capacity(window.len());
-    for cy in 0..window.h {
-        for cx in 0..window.w {
-            let (mut inside, mut count) = (0, 0);
-            for y in 0..window.step {
-                for x in 0..window.step {
-                    if let Some(&m) =
-                        mask.get(window.x0 + cx * window.step + x, window.y0 + cy * window.step + y)
-                    {
-                        count += 1;
-                        inside += usize::from(m != 0);
-                    }
-                }
-            }
-            labels.push(2 * inside >= count && inside > 0);
-        }
-    }
-    labels
-}
-
-/// Colours of the object and of what surrounds it; cells at the outline are mixed and teach neither.
-fn histograms(grid: &Grid, labels: &[bool], doubted: Option<&[f32]>) -> (Histogram, Histogram) {
-    let to_object = nearest(grid.window.w, grid.window.h, |i| labels[i]);
-    let to_outside = nearest(grid.window.w, grid.window.h, |i| !labels[i]);
-    let object = Histogram::from_colors(
-        (0..labels.len()).filter(|&i| labels[i] && to_outside.distance[i] > 1.2).map(|i| grid.color[i]),
-    );
-    // Around the object, what looks like it may be a part that was missed: the background must not learn that.
-    let teaches = |i: usize| {
-        let d = to_object.distance[i];
-        d > 15.0 || (d > 1.2 && doubted.is_none_or(|log_ratio| log_ratio[i] < 0.0))
-    };
-    let background = (0..labels.len()).filter(|&i| teaches(i)).map(|i| grid.color[i]);
-    (object, Histogram::from_colors(background))
-}
-
-/// Lifts every cell to 3-D; one without depth borrows it from the nearest cell of its side that has one.
-fn lift(grid: &Grid, camera: &Camera, labels: &[bool]) -> Vec<(Sample, usize)> {
-    let (w, h) = (grid.window.w, grid.window.h);
-    let object = nearest(w, h, |i| labels[i] && grid.depth[i] > 0.0);
-    let background = nearest(w, h, |i| !labels[i] && grid.depth[i] > 0.0);
-    (0..labels.len())
-        .map(|i| {
-            let measured = grid.depth[i] > 0.0;
-            let seed = if labels[i] { object.seed[i] } else { background.seed[i] };
-            let z = grid.depth.get(seed as usize).copied().unwrap_or(1.0);
-            let (u, v) = grid.window.center(i);
-            let sample = Sample {
-                point: camera.unproject(u, v, z),
-                color: grid.color[i],
-                object: labels[i],
-                measured,
-                hidden: 0,
-                trust: 1.0,
-            };
-            (sample, i)
-        })
-        .collect()
-}
-
-/// The moved sample and its cell, if something in front of it keeps it out of view.
-fn still_hidden(s: &Sample, work: &Work, options: &Options) -> Option<(Sample, usize)> {
-    let p = moved(s.point, &work.motion);
-    let [u, v] = work.camera.project(p)?;
-    let i = work.grid.window.index(work.grid.window.cell(u, v))?;
-    let z = work.grid.depth[i];
-    let covered = z > 0.0 && s.measured && z < p[2] - options.in_front;
-    let unknown = z <= 0.0 && s.hidden > 0;
-    let kept = Sample { point: p, hidden: s.hidden.saturating_add(1), ..*s };
-    (!work.found.labels[i] && (covered || unknown)).then_some((kept, i))
-}
-
-fn center(samples: &[Sample]) -> Option<[f32; 3]> {
-    let mut sum = [0.0f32; 3];
-    let mut count = 0;
-    for s in samples.iter().filter(|s| s.object) {
-        (0..3).for_each(|k| sum[k] += s.point[k]);
-        count += 1;
-    }
-    (count > 0).then(|| sum.map(|v| v / count as f32))
 }

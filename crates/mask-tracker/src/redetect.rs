@@ -24,7 +24,7 @@ pub(crate) fn search(
     let all = [0.0, 0.0, width as f32 - 1.0, height as f32 - 1.0];
     let window = Window::around(all, 0.0, (width, height), CELLS)?;
     let grid = Grid::new(frame, window);
-    let log_ratio: Vec<f32> = grid.color.iter().map(|&c| appearance.log_ratio(c)).collect();
+    let log_ratio: Vec<f32> = grid.color.iter().map(|&c| appearance.log_ratio_anywhere(c)).collect();
     let count = samples.iter().filter(|s| s.object).count();
     let mut probes = Vec::with_capacity(PROBES + 1);
     let mut mean = [0.0f32; 3];

@@ -2,7 +2,7 @@
 
 use nalgebra::{Isometry3, Point3, Translation3};
 
-use crate::grid::{Bounds, Camera, Color, EMPTY_BOUNDS, Grid, Window, color_distance2, include};
+use crate::grid::{Bounds, Camera, Color, Grid, Window, color_distance2};
 
 /// One cell of an earlier frame, lifted to the camera frame of the last one.
 #[derive(Clone, Copy, Debug)]
@@ -23,15 +23,21 @@ pub(crate) fn moved(p: [f32; 3], motion: &Isometry3<f32>) -> [f32; 3] {
     [q.x, q.y, q.z]
 }
 
-/// Image bounds of the moved object samples, `None` when none projects.
+/// Image bounds of the moved object samples, `None` when none projects. One in a hundred on each side may lie outside:
+/// a few stray samples must not widen the window, and with it coarsen the grid, for good.
 pub(crate) fn bounds(samples: &[Sample], motion: &Isometry3<f32>, camera: &Camera) -> Option<Bounds> {
-    let mut b = EMPTY_BOUNDS;
-    for s in samples.iter().filter(|s| s.object) {
-        if let Some([u, v]) = camera.project(moved(s.point, motion)) {
-            include(&mut b, u, v);
-        }
-    }
-    (b[0] <= b[2]).then_some(b)
+    let object = samples.iter().filter(|s| s.object);
+    trimmed_bounds(object.filter_map(|s| camera.project(moved(s.point, motion))))
+}
+
+/// Bounds of points, without the outermost hundredth on each side.
+pub(crate) fn trimmed_bounds(points: impl Iterator<Item = [f32; 2]>) -> Option<Bounds> {
+    let (mut us, mut vs): (Vec<f32>, Vec<f32>) =
+        points.filter(|p| p[0].is_finite() && p[1].is_finite()).map(|p| (p[0], p[1])).unzip();
+    let outside = us.len() / 100;
+    let last = us.len().checked_sub(1 + outside)?;
+    let at = |values: &mut Vec<f32>, k: usize| *values.select_nth_unstable_by(k, f32::total_cmp).1;
+    Some([at(&mut us, outside), at(&mut vs, outside), at(&mut us, last), at(&mut vs, last)])
 }
 
 /// Samples drawn into a window; `depth` 0 where none fell.
@@ -44,13 +50,15 @@ pub(crate) struct Layer {
 }
 
 impl Layer {
-    /// Draws the samples that `keep` selects, nearest wins; gaps one cell wide are closed.
+    /// Draws the samples that `keep` selects as squares of `footprint` cells, nearest wins; gaps one cell wide are
+    /// closed.
     pub(crate) fn draw(
         samples: &[Sample],
         keep: impl Fn(&Sample) -> bool,
         motion: &Isometry3<f32>,
         camera: &Camera,
         window: &Window,
+        footprint: i32,
     ) -> Self {
         let n = window.len();
         let mut layer = Self {
@@ -63,13 +71,17 @@ impl Layer {
         for s in samples.iter().filter(|s| keep(s)) {
             let p = moved(s.point, motion);
             let Some([u, v]) = camera.project(p) else { continue };
-            let Some(i) = window.index(window.cell(u, v)) else { continue };
-            if layer.depth[i] == 0.0 || p[2] < layer.depth[i] {
-                layer.depth[i] = p[2];
-                layer.color[i] = s.color;
-                layer.trust[i] = s.trust;
-                layer.hidden[i] = s.hidden;
-                layer.measured[i] = s.measured;
+            let (x, y) = window.cell(u, v);
+            let (x0, y0) = (x - (footprint - 1) / 2, y - (footprint - 1) / 2);
+            for cell in (y0..y0 + footprint).flat_map(|y| (x0..x0 + footprint).map(move |x| (x, y))) {
+                let Some(i) = window.index(cell) else { continue };
+                if layer.depth[i] == 0.0 || p[2] < layer.depth[i] {
+                    layer.depth[i] = p[2];
+                    layer.color[i] = s.color;
+                    layer.trust[i] = s.trust;
+                    layer.hidden[i] = s.hidden;
+                    layer.measured[i] = s.measured;
+                }
             }
         }
         layer.close_gaps(window);

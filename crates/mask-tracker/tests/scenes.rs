@@ -289,6 +289,7 @@ fn given_masks_are_passed_on() {
     let found = segmenter.next(&frame, &Prior::default());
     assert_eq!(found.mask, mask);
     assert_eq!(segmenter.refine(&frame, found, &Prior::default()).confidence, 1.0);
+    // Masks of another size are resampled.
     frame.mask = Some(Image::filled(2, 2, 1));
-    assert_eq!(segmenter.next(&frame, &Prior::default()).area, 0);
+    assert_eq!(segmenter.next(&frame, &Prior::default()).area, SIZE.0 * SIZE.1);
 }

@@ -1,139 +1,131 @@
-//! Scores the system on sequences with known poses and mesh.
+//! `cargo xtask eval`: runs methods on sequences with known poses and mesh, and puts their scores under the published
+//! ones.
+//!
+//! A job is a method on a sequence. It runs in a process of its own ([`queue`]) and leaves its results, what was asked
+//! and its score in a folder of its own ([`job`]), so that a crash is a line of the table, and an evaluation that was
+//! stopped goes on where it was.
 
-mod masks;
-mod ply;
+mod args;
+mod benchmark;
+mod grid;
+mod job;
+mod json;
+mod layout;
+mod method;
+mod published;
+mod queue;
 mod report;
-mod run;
 mod score;
-mod synth;
-mod truth;
+pub(crate) mod synth;
+mod table;
+mod track;
+mod video;
 
-use clap::{Subcommand, ValueEnum};
-use report::{Report, Row};
-use std::path::{Path, PathBuf};
-use std::process::ExitCode;
+use anyhow::Context;
+use args::Plan;
+pub(crate) use args::Target;
+use job::Build;
+use queue::{Outcome, Queue};
+use std::io::IsTerminal;
+use std::process::{Command, ExitCode};
+use table::{Entry, Metric, Tables};
 
-/// The layouts of sequences that can be scored.
-#[derive(Subcommand)]
-pub(crate) enum Layout {
-    /// Folders with rgb/, depth/, cam_K.txt, gt_poses/*.txt (4x4, object to camera) and mesh/*.obj.
-    Custom(CustomArgs),
-    /// The synthetic suite, whose truth is exact: made on first use, nothing is downloaded.
-    Synth(SynthArgs),
-}
-
-/// How the tracker and the field take turns.
-#[derive(Clone, Copy, ValueEnum)]
-pub(crate) enum Schedule {
-    /// A field round after each batch of keyframes: reproducible.
-    Lockstep,
-    /// The tracker never waits.
-    Realtime,
-}
-
-#[derive(clap::Args)]
-pub(crate) struct CustomArgs {
-    /// Sequence folders.
-    #[arg(required = true, value_name = "DIR")]
-    dirs: Vec<PathBuf>,
-    #[command(flatten)]
-    how: How,
-}
-
-#[derive(clap::Args)]
-pub(crate) struct SynthArgs {
-    /// Sequences of the suite; without it, all of them.
-    #[arg(long, value_delimiter = ',', value_name = "NAME,...")]
-    videos: Vec<String>,
-    /// Where the sequences are kept, about 150 MB each; those already there are used again.
-    #[arg(long, default_value = "out/synth", value_name = "DIR")]
-    data: PathBuf,
-    #[command(flatten)]
-    how: How,
-}
-
-/// What every layout's evaluation has in common.
-#[derive(clap::Args)]
-struct How {
-    /// Masks to track with: the first frame's, all (`masks/`, else `masks_derived/`), or those of a folder.
-    #[arg(long, default_value = "first", value_name = "first|all|FOLDER")]
-    masks: String,
-    /// How tracker and field take turns.
-    #[arg(long, value_enum, default_value = "lockstep")]
-    schedule: Schedule,
-    /// Use every Nth frame.
-    #[arg(long, default_value_t = 1, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
-    stride: u32,
-    /// Configuration file for the system.
-    #[arg(long, value_name = "FILE")]
-    config: Option<PathBuf>,
-    /// Where the results go, one folder a sequence.
-    #[arg(long, default_value = "out/eval", value_name = "DIR")]
-    out: PathBuf,
-    /// Also write the scores to this file.
-    #[arg(long, value_name = "FILE")]
-    json: Option<PathBuf>,
-    /// Score the results that are already in the output folder.
-    #[arg(long)]
-    no_run: bool,
-}
-
-/// Evaluates on one layout.
-pub(crate) fn run(layout: &Layout) -> anyhow::Result<ExitCode> {
-    match layout {
-        Layout::Custom(args) => run_all(&args.dirs, &args.how),
-        Layout::Synth(args) => run_all(&synth::folders(&args.videos, &args.data)?, &args.how),
-    }
-}
-
-/// Runs and scores every sequence. A sequence that fails is a row with its error, and fails the command at the
-/// end.
-fn run_all(dirs: &[PathBuf], args: &How) -> anyhow::Result<ExitCode> {
-    let names = sequence_names(dirs)?;
-    let program = if args.no_run { None } else { Some(run::build()?) };
-    let mut report = Report::default();
-    for (dir, name) in dirs.iter().zip(names) {
-        let row = evaluate(args, program.as_deref(), dir, &name)
-            .unwrap_or_else(|error| Row::failed(&name, &format!("{error:#}")));
-        eprintln!("{}", row.summary());
-        report.rows.push(row);
-    }
-    println!("{report}");
-    if let Some(path) = &args.json {
-        report.write_json(path)?;
-    }
-    Ok(if report.rows.iter().any(|row| row.error.is_some()) { ExitCode::FAILURE } else { ExitCode::SUCCESS })
-}
-
-fn evaluate(args: &How, program: Option<&Path>, dir: &Path, name: &str) -> anyhow::Result<Row> {
-    // Read first: a folder without truth should not cost a run.
-    let truth = truth::Truth::read(dir, args.stride as usize)?;
-    let out = args.out.join(name);
-    let mut failure = None;
-    if let Some(program) = program {
-        let masks = masks::arguments(&args.masks, dir, &truth.ids)?;
-        let outcome = run::run(program, args, dir, &masks, &out);
-        // A run that stopped half-way has left the poses so far, and the rest of the frames counts as lost.
-        if let Err(error) = outcome {
-            if !out.join("run.json").exists() {
-                return Err(error);
+/// Evaluates on one dataset, or does one job of that.
+pub(crate) fn run(target: &Target) -> anyhow::Result<ExitCode> {
+    match (target, target.plan()?) {
+        (Target::Job(args), _) => {
+            queue::end_with_parent();
+            if let Err(error) = job::work(&args.folder, args.no_run) {
+                // In one line: the last one is what the table shows.
+                eprintln!("{error:#}");
+                return Ok(ExitCode::FAILURE);
             }
-            failure = Some(format!("{error:#}"));
+            Ok(ExitCode::SUCCESS)
+        }
+        (_, Some(plan)) => evaluate(&plan),
+        (_, None) => Ok(ExitCode::SUCCESS),
+    }
+}
+
+/// A job that fails is a line with its error, and fails the command at the end.
+fn evaluate(plan: &Plan<'_>) -> anyhow::Result<ExitCode> {
+    let queue = Queue {
+        parallel: usize::from(plan.how.jobs),
+        force: plan.how.force,
+        only_score: plan.how.no_run,
+        build: this_build(),
+    };
+    let outcomes = queue.run(&plan.jobs)?;
+    let entries: Vec<Entry> = plan.jobs.iter().zip(&outcomes).filter_map(|(j, o)| entry(j, o)).collect();
+    let tables = Tables::new(
+        plan.benchmark,
+        &entries,
+        &published::table(plan.benchmark)?,
+        published::ablations(plan.benchmark)?,
+    );
+    let notes = layout::notes(&tables, &entries, &plan.masks);
+    print(&tables, &entries, &notes);
+    if let Some(path) = &plan.how.json {
+        json::write(path, &tables, &entries, &notes)?;
+    }
+    if let Some(dir) = &plan.how.report {
+        let page = report::write(dir, &tables, &entries, &notes, &queue.build)?;
+        println!("report: {}", page.display());
+    }
+    let stopped = outcomes.iter().filter(|o| **o == Outcome::Stopped).count();
+    if stopped > 0 {
+        eprintln!("stopped with {stopped} of {} jobs not done; the same command goes on", outcomes.len());
+        return Ok(ExitCode::from(130));
+    }
+    Ok(if entries.iter().any(|e| e.score.is_err()) { ExitCode::FAILURE } else { ExitCode::SUCCESS })
+}
+
+fn entry(job: &job::Job, outcome: &Outcome) -> Option<Entry> {
+    let (score, other_build) = match outcome {
+        Outcome::Stopped => return None,
+        Outcome::Failed(error) => (Err(error.clone()), None),
+        Outcome::Done(build) => (job.score().map_err(|e| format!("{e:#}")), build.clone()),
+    };
+    Some(Entry { asked: job.asked.clone(), score, other_build })
+}
+
+fn print(tables: &Tables, entries: &[Entry], notes: &[String]) {
+    if entries.is_empty() {
+        return;
+    }
+    let bold = std::io::stdout().is_terminal();
+    println!("{}", layout::details(entries).terminal(bold));
+    if tables.columns.len() > 1 {
+        Metric::ALL.iter().for_each(|m| println!("{}", layout::by_group(tables, *m).terminal(bold)));
+    }
+    for grid in layout::ablations(tables).into_iter().chain(layout::pooled(tables)) {
+        println!("{}", grid.terminal(bold));
+    }
+    println!("{}", layout::means(tables).terminal(bold));
+    notes.iter().for_each(|note| println!("{note}"));
+    for entry in entries {
+        if let Err(error) = &entry.score {
+            println!("{} on {} failed: {error}", entry.asked.method.name(), entry.asked.place.name);
         }
     }
-    let mut row = score::score(name, &truth, &out)?;
-    row.error = failure;
-    Ok(row)
 }
 
-/// The last part of each folder's path; these name the output folders, so they must differ.
-fn sequence_names(dirs: &[PathBuf]) -> anyhow::Result<Vec<String>> {
-    let mut names: Vec<String> = Vec::new();
-    for dir in dirs {
-        let full = dir.canonicalize().unwrap_or_else(|_| dir.clone());
-        let name = full.file_name().map_or_else(|| "sequence".into(), |n| n.to_string_lossy().into_owned());
-        anyhow::ensure!(!names.contains(&name), "two sequences are called {name}: rename one of the folders");
-        names.push(name);
+/// This program, with the commit that the working tree is at.
+fn this_build() -> Build {
+    let git = |arguments: &[&str]| {
+        let output = Command::new("git").arg("-C").arg(crate::tidy::root()).args(arguments).output().ok()?;
+        output.status.success().then(|| String::from_utf8_lossy(&output.stdout).trim().to_owned())
+    };
+    let is_changed = git(&["status", "--porcelain", "--untracked-files=no"]).is_some_and(|s| !s.is_empty());
+    let commit = git(&["rev-parse", "--short", "HEAD"]);
+    let commit = commit.map(|c| if is_changed { format!("{c}+") } else { c });
+    Build { version: env!("CARGO_PKG_VERSION").to_owned(), commit }
+}
+
+/// Writes a file whose folder may not be there yet.
+fn write_text(path: &std::path::Path, text: &str) -> anyhow::Result<()> {
+    if let Some(folder) = path.parent().filter(|f| !f.as_os_str().is_empty()) {
+        std::fs::create_dir_all(folder).with_context(|| format!("{} can't be created", folder.display()))?;
     }
-    Ok(names)
+    std::fs::write(path, text).with_context(|| format!("{} can't be written", path.display()))
 }

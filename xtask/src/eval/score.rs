@@ -1,18 +1,63 @@
-//! Scores the results of one run.
+//! Scores the results of one job.
 
-use super::ply;
-use super::report::Row;
-use super::truth::Truth;
+use super::job::{Asked, read_json};
+use super::video::{Masks, Place};
 use anyhow::Context;
 use eval_metrics::{
-    MeshProtocol, MeshRef, ModelPoints, alignment, keep_faces, score_mesh, score_poses, visible_faces,
+    BOUNDARY_TOLERANCE, Camera, MaskRef, MeshProtocol, MeshRef, ModelPoints, alignment, boundary_f,
+    keep_faces, region_similarity, score_mesh, score_poses, visible_faces,
 };
 use nalgebra::Isometry3;
-use serde::Deserialize;
+use rgbd_io::FrameSource;
+use rgbd_io::datasets::{DatasetSequence, ModelMesh, SequenceTruth};
+use serde::{Deserialize, Serialize};
 use std::path::Path;
 
-/// Upper end of the areas under the recall curves, metres: the published range for hand-sized objects.
-const MAX_ERROR: f64 = 0.1;
+/// Frames whose views decide which part of the true surface the video shows: neighbours show the same.
+const MAX_VIEWS: usize = 300;
+
+/// The content of `score.json`.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub(super) struct Score {
+    /// Area under the ADD-S recall curve, percent.
+    pub(super) add_s: f64,
+    /// Area under the ADD recall curve, percent.
+    pub(super) add: f64,
+    /// Chamfer distance to the surface that the video shows, as the paper's text says, centimetres.
+    pub(super) cd_cm: Option<f64>,
+    /// The same after registration by ICP, as the published numbers were computed.
+    pub(super) cd_icp_cm: Option<f64>,
+    /// Without registration, the reconstruction culled to the visible surface as well.
+    pub(super) cd_seen_cm: Option<f64>,
+    /// Number of frames that the method reported as lost.
+    pub(super) lost: usize,
+    /// Median rate of the tracker, frames per second.
+    pub(super) hz: Option<f64>,
+    /// Median time of a field round, seconds.
+    pub(super) round_s: Option<f64>,
+    /// Time of the whole run, seconds.
+    pub(super) wall_s: Option<f64>,
+    /// Mean region similarity of the masks after the first, percent; `None` where the true ones were given.
+    pub(super) region_j: Option<f64>,
+    /// Mean contour accuracy of the same masks, percent.
+    pub(super) boundary_f: Option<f64>,
+    pub(super) errors: Errors,
+}
+
+/// Errors of the frames with a true pose; `None` where the predicted one is missing or not finite.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub(super) struct Errors {
+    /// Number of the frame in the video, after the stride.
+    pub(super) frames: Vec<usize>,
+    /// Metres.
+    pub(super) add: Vec<Option<f64>>,
+    /// Metres.
+    pub(super) add_s: Vec<Option<f64>>,
+    /// Radians.
+    pub(super) rotation: Vec<Option<f64>>,
+    /// Metres.
+    pub(super) translation: Vec<Option<f64>>,
+}
 
 /// The part of `run.json` that is reported.
 #[derive(Default, Deserialize)]
@@ -21,6 +66,7 @@ struct RunFile {
     frames: Vec<FrameEntry>,
     field: FieldEntry,
     tracking_hz_median: Option<f64>,
+    wall_s: Option<f64>,
 }
 
 #[derive(Deserialize)]
@@ -35,36 +81,82 @@ struct FieldEntry {
     ms_per_round_median: Option<f64>,
 }
 
-/// Scores the results in `out` (`ob_in_cam/`, `mesh.ply`, `run.json`).
-pub(super) fn score(name: &str, truth: &Truth, out: &Path) -> anyhow::Result<Row> {
-    let run_path = out.join("run.json");
-    let text = std::fs::read_to_string(&run_path)
-        .with_context(|| format!("{} can't be read; was the sequence run?", run_path.display()))?;
-    let run: RunFile =
-        serde_json::from_str(&text).with_context(|| format!("{} isn't a run report", run_path.display()))?;
+/// What is known about a sequence.
+struct Truth {
+    ids: Vec<String>,
+    known: SequenceTruth,
+    mesh: ModelMesh,
+    camera: Camera,
+}
 
-    let poses = read_poses(truth, &out.join("ob_in_cam"));
-    let model = ModelPoints::from_mesh(truth.mesh.by_ref()).context("the true mesh has no surface")?;
-    let scores = score_poses(&poses, &truth.poses, &model, MAX_ERROR);
-    let mut row = Row {
-        video: name.to_owned(),
+impl Truth {
+    fn read(frames: &DatasetSequence) -> anyhow::Result<Self> {
+        let known = frames.truth()?;
+        let mesh = known.read_model()?.context("the sequence knows no object")?;
+        anyhow::ensure!(
+            known.cam_from_obj.iter().any(Option::is_some),
+            "{} has no true pose of any frame",
+            frames.path().display()
+        );
+        let (k, (width, height)) = (frames.intrinsics(), frames.size());
+        let camera = Camera { fx: k.fx, fy: k.fy, cx: k.cx, cy: k.cy, width, height };
+        let ids = (0..frames.len()).map(|i| frames.id(i).to_owned()).collect();
+        Ok(Self { ids, known, mesh, camera })
+    }
+
+    /// The part of the true surface that the video shows: the dataset's own, where it has one.
+    fn seen(&self) -> anyhow::Result<ModelMesh> {
+        if let Some(path) = &self.known.visible_model {
+            return Ok(ModelMesh::read(path)?);
+        }
+        let views: Vec<_> = self.known.cam_from_obj.iter().flatten().copied().collect();
+        let views: Vec<_> = views.iter().step_by(views.len().div_ceil(MAX_VIEWS).max(1)).copied().collect();
+        let seen = visible_faces(by_ref(&self.mesh), &views, &self.camera);
+        let triangles = keep_faces(&self.mesh.triangles, &seen);
+        Ok(ModelMesh { vertices: self.mesh.vertices.clone(), triangles })
+    }
+}
+
+fn by_ref(mesh: &ModelMesh) -> MeshRef<'_> {
+    MeshRef::new(&mesh.vertices, &mesh.triangles)
+}
+
+/// Scores the results in `folder` (`ob_in_cam/`, `masks/`, `mesh.ply`, `run.json`).
+pub(super) fn score(asked: &Asked, folder: &Path) -> anyhow::Result<Score> {
+    let run: RunFile = read_json(&folder.join("run.json"))?;
+    let truth = Truth::read(&asked.place.open_unmasked()?)?;
+    let poses = read_poses(&truth, &folder.join("ob_in_cam"));
+    let model = ModelPoints::from_mesh(by_ref(&truth.mesh)).context("the true mesh has no surface")?;
+    let scores = score_poses(&poses, &truth.known.cam_from_obj, &model, asked.place.benchmark.max_error());
+    let finite = |errors: Vec<f64>| errors.into_iter().map(|e| e.is_finite().then_some(e)).collect();
+    let mut score = Score {
         add_s: scores.add_s_auc,
         add: scores.add_auc,
+        lost: run.frames.iter().filter(|f| f.status == "lost").count(),
         hz: run.tracking_hz_median,
         round_s: run
             .field
             .ms_per_round_median
             .filter(|ms| run.field.rounds > 0 && *ms > 0.0)
             .map(|ms| ms / 1e3),
-        lost: Some(run.frames.iter().filter(|f| f.status == "lost").count()),
-        ..Row::default()
+        wall_s: run.wall_s,
+        errors: Errors {
+            frames: scores.frames,
+            add: finite(scores.add_errors),
+            add_s: finite(scores.add_s_errors),
+            rotation: finite(scores.rotation_errors),
+            translation: finite(scores.translation_errors),
+        },
+        ..Score::default()
     };
-    let mesh_path = out.join("mesh.ply");
+    let mesh_path = folder.join("mesh.ply");
     if mesh_path.exists() {
-        let mesh = ply::read(&mesh_path)?;
-        score_surface(&mut row, &mesh, truth, &poses);
+        score_surface(&mut score, &ModelMesh::read(&mesh_path)?, &truth, &poses)?;
     }
-    Ok(row)
+    if asked.masks != Masks::Given {
+        score_masks(&mut score, &asked.place, folder);
+    }
+    Ok(score)
 }
 
 /// The predicted pose of each frame of the truth; a file that is missing or unusable is a missing pose.
@@ -72,121 +164,46 @@ fn read_poses(truth: &Truth, dir: &Path) -> Vec<Option<Isometry3<f64>>> {
     truth.ids.iter().map(|id| rgbd_io::poses::read_pose(&dir.join(format!("{id}.txt"))).ok()).collect()
 }
 
-fn score_surface(row: &mut Row, mesh: &ply::Mesh, truth: &Truth, poses: &[Option<Isometry3<f64>>]) {
-    let Some(pred_from_gt) = alignment(poses, &truth.poses) else { return };
+fn score_surface(
+    score: &mut Score,
+    mesh: &ModelMesh,
+    truth: &Truth,
+    poses: &[Option<Isometry3<f64>>],
+) -> anyhow::Result<()> {
+    let Some(pred_from_gt) = alignment(poses, &truth.known.cam_from_obj) else { return Ok(()) };
     let gt_from_pred = pred_from_gt.inverse();
-    let views: Vec<_> = truth.poses.iter().flatten().copied().collect();
-
-    let gt_seen =
-        keep_faces(&truth.mesh.triangles, &visible_faces(truth.mesh.by_ref(), &views, &truth.camera));
-    let gt = MeshRef::new(&truth.mesh.vertices, &gt_seen);
-    let pred_views: Vec<_> = views.iter().map(|view| view * gt_from_pred).collect();
-    let pred_seen = keep_faces(&mesh.triangles, &visible_faces(mesh.by_ref(), &pred_views, &truth.camera));
-
+    let seen = truth.seen()?;
     let centimetres = |pred: MeshRef<'_>, protocol: MeshProtocol| {
-        score_mesh(pred, gt, &gt_from_pred, &protocol).map(|chamfer| chamfer.distance() * 100.0)
+        score_mesh(pred, by_ref(&seen), &gt_from_pred, &protocol).map(|chamfer| chamfer.distance() * 100.0)
     };
-    row.cd_cm = centimetres(mesh.by_ref(), MeshProtocol::paper_text());
-    row.cd_icp_cm = centimetres(mesh.by_ref(), MeshProtocol::authors_script());
-    row.cd_seen_cm = centimetres(MeshRef::new(&mesh.vertices, &pred_seen), MeshProtocol::paper_text());
+    score.cd_cm = centimetres(by_ref(mesh), MeshProtocol::paper_text());
+    score.cd_icp_cm = centimetres(by_ref(mesh), MeshProtocol::authors_script());
+    let views: Vec<_> = truth.known.cam_from_obj.iter().flatten().map(|view| view * gt_from_pred).collect();
+    let views: Vec<_> = views.iter().step_by(views.len().div_ceil(MAX_VIEWS).max(1)).copied().collect();
+    let pred_seen = keep_faces(&mesh.triangles, &visible_faces(by_ref(mesh), &views, &truth.camera));
+    score.cd_seen_cm = centimetres(MeshRef::new(&mesh.vertices, &pred_seen), MeshProtocol::paper_text());
+    Ok(())
+}
+
+/// Compares the masks that were used with the true ones, where the dataset has them. The first was given.
+fn score_masks(score: &mut Score, place: &Place, folder: &Path) {
+    let Ok(frames) = place.open_true_masks() else { return };
+    let (mut region, mut boundary) = (Vec::new(), Vec::new());
+    for index in 1..frames.len() {
+        let Some(truth) = frames.frame(index).ok().and_then(|f| f.mask) else { continue };
+        let used = rgbd_io::read_mask(&folder.join("masks").join(format!("{}.png", frames.id(index))));
+        // A frame without a mask was tracked with an empty one.
+        let empty = || truth.map(|_| 0);
+        let used = used.ok().filter(|m| m.size() == truth.size()).unwrap_or_else(empty);
+        let by_ref = |m| MaskRef::new(m, truth.width());
+        let (Some(used), Some(real)) = (by_ref(used.pixels()), by_ref(truth.pixels())) else { continue };
+        region.extend(region_similarity(used, real));
+        boundary.extend(boundary_f(used, real, BOUNDARY_TOLERANCE));
+    }
+    let mean = |v: &[f64]| (!v.is_empty()).then(|| 100.0 * v.iter().sum::<f64>() / v.len() as f64);
+    (score.region_j, score.boundary_f) = (mean(&region), mean(&boundary));
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use nalgebra::{Point3, Vector3};
-    use rgbd_io::{CustomWriter, Image, Intrinsics, poses::format_pose};
-    use std::fs;
-
-    const FRAMES: usize = 10;
-    /// A cube of 8 cm edge, counter-clockwise squares.
-    const FACES: [[usize; 4]; 6] =
-        [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]];
-
-    fn corners() -> [[f64; 3]; 8] {
-        std::array::from_fn(|i| [4, 2, 1].map(|bit| if i & bit == 0 { -0.04 } else { 0.04 }))
-    }
-
-    fn cam_from_obj(i: usize) -> Isometry3<f64> {
-        Isometry3::new(Vector3::new(0.0, 0.0, 0.5), Vector3::new(0.6, 0.25 * i as f64, 0.0))
-    }
-
-    /// Somewhere the tracker could have put its object frame.
-    fn gt_from_pred() -> Isometry3<f64> {
-        Isometry3::new(Vector3::new(0.1, -0.05, 0.02), Vector3::new(0.3, 1.0, -0.5))
-    }
-
-    fn sequence(dir: &Path) {
-        let camera = Intrinsics { fx: 300.0, fy: 320.0, cx: 79.5, cy: 59.5 };
-        let writer = CustomWriter::create(dir, &camera).unwrap();
-        for folder in ["gt_poses", "mesh"] {
-            fs::create_dir_all(dir.join(folder)).unwrap();
-        }
-        for i in 0..FRAMES {
-            let (color, depth) = (Image::filled(160, 120, [90; 3]), Image::filled(160, 120, 0.5));
-            writer.write_frame(&format!("{i:04}"), &color, &depth, None).unwrap();
-            fs::write(dir.join(format!("gt_poses/{i:04}.txt")), format_pose(&cam_from_obj(i))).unwrap();
-        }
-        let mut obj = String::new();
-        corners().iter().for_each(|[x, y, z]| obj += &format!("v {x} {y} {z}\n"));
-        FACES.iter().for_each(|f| obj += &format!("f {} {} {} {}\n", f[0] + 1, f[1] + 1, f[2] + 1, f[3] + 1));
-        fs::write(dir.join("mesh/cube.obj"), obj).unwrap();
-    }
-
-    /// What a run leaves behind that tracked without error, in an object frame of its own.
-    fn perfect_run(out: &Path) {
-        fs::create_dir_all(out.join("ob_in_cam")).unwrap();
-        let pred_from_gt = gt_from_pred().inverse();
-        for i in 0..FRAMES {
-            let pose = cam_from_obj(i) * gt_from_pred();
-            fs::write(out.join(format!("ob_in_cam/{i:04}.txt")), format_pose(&pose)).unwrap();
-        }
-        let mut ply = String::from(
-            "ply\nformat ascii 1.0\nelement vertex 8\nproperty float x\nproperty float y\nproperty float z\n\
-             element face 6\nproperty list uchar int vertex_indices\nend_header\n",
-        );
-        for c in corners() {
-            let p = pred_from_gt * Point3::from(c);
-            ply += &format!("{} {} {}\n", p.x, p.y, p.z);
-        }
-        FACES.iter().for_each(|f| ply += &format!("4 {} {} {} {}\n", f[0], f[1], f[2], f[3]));
-        fs::write(out.join("mesh.ply"), ply).unwrap();
-        let run = r#"{"version": "0", "frames": [{"id": "0000", "status": "tracked"}, {"id": "0001", "status": "lost"}],
-            "field": {"rounds": 2, "ms_per_round_median": 1500.0, "steps": 300}, "tracking_hz_median": 7.5}"#;
-        fs::write(out.join("run.json"), run).unwrap();
-    }
-
-    #[test]
-    fn perfect_damaged_and_absent_results() {
-        let dir = tempfile::tempdir().unwrap();
-        let out = dir.path().join("results");
-        sequence(dir.path());
-        let truth = Truth::read(dir.path(), 1).unwrap();
-        assert_eq!((truth.ids.len(), truth.camera.width), (FRAMES, 160));
-        assert!(score("cube", &truth, &out).unwrap_err().to_string().contains("was the sequence run?"));
-
-        perfect_run(&out);
-        let row = score("cube", &truth, &out).unwrap();
-        assert!(row.add > 99.99 && row.add_s > 99.99, "{row:?}");
-        assert!((0.08..0.13).contains(&row.cd_seen_cm.unwrap()), "{row:?}");
-        // The bottom was never seen, so a whole cube has surface that the truth lacks.
-        assert!(row.cd_cm.unwrap() > row.cd_seen_cm.unwrap(), "{row:?}");
-        assert_eq!((row.lost, row.hz, row.round_s), (Some(1), Some(7.5), Some(1.5)));
-
-        // Two files gone or spoilt, one pose 4 cm off: 7 + 0.6 of 10 frames, and one staircase step at most.
-        fs::remove_file(out.join("ob_in_cam/0003.txt")).unwrap();
-        fs::write(out.join("ob_in_cam/0004.txt"), "nan ".repeat(16)).unwrap();
-        let off = Isometry3::translation(0.0, 0.0, 0.04) * cam_from_obj(5) * gt_from_pred();
-        fs::write(out.join("ob_in_cam/0005.txt"), format_pose(&off)).unwrap();
-        fs::remove_file(out.join("mesh.ply")).unwrap();
-        let row = score("cube", &truth, &out).unwrap();
-        assert!((75.9..80.1).contains(&row.add), "{row:?}");
-        assert_eq!((row.cd_cm, row.cd_icp_cm), (None, None));
-
-        // With a stride only the frames that were used count.
-        let every_third = Truth::read(dir.path(), 3).unwrap();
-        assert_eq!(every_third.ids, ["0000", "0003", "0006", "0009"]);
-        let row = score("cube", &every_third, &out).unwrap();
-        assert!((row.add - 75.0).abs() < 0.01, "{row:?}");
-    }
-}
+#[path = "score_tests.rs"]
+mod tests;

@@ -3,7 +3,7 @@
 use std::io;
 use std::path::Path;
 
-/// Folders that hold no sources; the same as in .gitignore.
+/// What holds no sources; the same as in .gitignore. In a second working tree `.git` is a file.
 const SKIPPED: [&str; 6] = ["target", ".git", "out", "bundlesdf-demo", "corpus", "artifacts"];
 /// No source is larger than this, bytes.
 const LARGEST: u64 = 2 << 20;
@@ -52,9 +52,12 @@ impl Tree {
         for entry in std::fs::read_dir(dir)? {
             let entry = entry?;
             let name = entry.file_name().to_string_lossy().into_owned();
+            if SKIPPED.contains(&name.as_str()) {
+                continue;
+            }
             let (kind, path) = (entry.file_type()?, format!("{prefix}{name}"));
             // Links are followed nowhere: what they point to is visited in its own place.
-            if kind.is_dir() && !SKIPPED.contains(&name.as_str()) {
+            if kind.is_dir() {
                 self.visit(&entry.path(), &format!("{path}/"))?;
             } else if kind.is_file()
                 && entry.metadata()?.len() <= LARGEST

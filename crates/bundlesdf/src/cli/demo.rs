@@ -11,11 +11,13 @@ use rgbd_synth::{Masks, Sequence};
 
 use super::{
     DemoArgs, DemoMasks, EXIT_INTERRUPTED,
+    log::Log,
+    report::write_report,
     run::{print, summary, track},
 };
 
 /// Makes the video, runs the system on it and prints how good the result is.
-pub(super) fn demo(args: &DemoArgs) -> anyhow::Result<ExitCode> {
+pub(super) fn demo(args: &DemoArgs, log: Log) -> anyhow::Result<ExitCode> {
     let (config, schedule) = args.how.resolve()?;
     let folder = OutputFolder::create(&args.out, true)?;
     let masks = match args.masks {
@@ -32,7 +34,7 @@ pub(super) fn demo(args: &DemoArgs) -> anyhow::Result<ExitCode> {
     let source: Arc<dyn FrameSource> = Arc::new(video.clone());
     let given = if args.masks == DemoMasks::All { "all" } else { "first" };
     let input = VideoInput::Synthetic { name: "demo".into(), masks: given.into(), frames: video.len() };
-    let (run, report) = track(source, input, &config, schedule, &folder)?;
+    let (run, report) = track(source, input, (&config, schedule, &args.how.segmenter), &folder, log)?;
     let truth: Vec<_> = (0..run.frames.len()).map(|i| video.cam_from_obj(i)).collect();
     let truth = Truth {
         cam_from_obj: &truth,
@@ -43,6 +45,8 @@ pub(super) fn demo(args: &DemoArgs) -> anyhow::Result<ExitCode> {
     let poses: Vec<_> = run.frames.iter().map(|f| f.cam_from_obj).collect();
     let scores = evaluate(&poses, run.reconstruction.mesh.as_ref(), report.count(Status::Lost), &truth);
     folder.write_json("eval.json", &scores)?;
+    write_report(&folder, log);
+    log.summary(&report, &folder);
     print(&summary(&report, &folder));
     print(&score_lines(&scores));
     Ok(if run.interrupted { ExitCode::from(EXIT_INTERRUPTED) } else { ExitCode::SUCCESS })

@@ -1,14 +1,18 @@
 //! Arguments, and what each command does with the library.
 
 mod check;
+mod complete;
 mod demo;
+mod draw;
 mod export;
+mod log;
+mod mask;
 mod progress;
 mod refine;
+mod report;
 mod run;
 
 use std::{
-    io::IsTerminal,
     path::PathBuf,
     process::ExitCode,
     sync::{
@@ -19,6 +23,8 @@ use std::{
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
 
+use self::log::Log;
+
 /// Something in the input, the config or the output folder is wrong; the message says what.
 const EXIT_BAD_INPUT: u8 = 2;
 /// Ended by Ctrl-C or SIGTERM after the frame under way; everything up to it is written.
@@ -28,15 +34,20 @@ const AFTER_HELP: &str = "\
 Examples:
   bundlesdf demo                          track and reconstruct a built-in synthetic video
   bundlesdf check VIDEO                   see what is in a folder and what is wrong with it
+  bundlesdf mask VIDEO --box 210,130,180,240
+                                          cut the first mask out of a box around the object
   bundlesdf run VIDEO --out OUT           track VIDEO from the mask of its first frame
   bundlesdf run VIDEO --out OUT --masks all --schedule realtime
   bundlesdf refine OUT                    improve the mesh and all poses of a run that has ended
   bundlesdf export OUT --canonical --sim  write textured meshes and simulator files of a finished run
+  bundlesdf draw OUT --video OUT/poses.gif  draw box, axes and outline over the frames
 
 VIDEO is a folder with rgb/*.png|jpg, depth/*.png (16 bit, millimetres, registered to colour), masks/*.png (at least
 the first frame's; white = object) and cam_K.txt (3x3 intrinsics of the colour camera, pixels).
 
-Exit codes: 0 done, 2 an input, config or output that can't be used (the message names it), 130 interrupted.";
+Exit codes: 0 done; 2 wrong arguments, or an input, config or output that can't be used (the message names it; a run
+with single unreadable frames ends with it too, after writing its results); 130 interrupted by Ctrl-C or SIGTERM, with
+the results up to then written.";
 
 /// Track an unknown object in an RGB-D video and reconstruct it as a mesh.
 #[derive(Parser, Debug)]
@@ -47,6 +58,9 @@ struct Cli {
     /// Log what happens inside: -v the time of every frame and field round, -vv every decision, -vvv everything.
     #[arg(short, long, action = clap::ArgAction::Count, global = true)]
     verbose: u8,
+    /// Write one JSON object per line to standard error: frames, rounds, warnings, the summary, errors.
+    #[arg(long, global = true)]
+    json_log: bool,
 }
 
 #[derive(Subcommand, Debug)]
@@ -59,8 +73,18 @@ enum Command {
     Refine(refine::RefineArgs),
     /// Look at a video folder: what is in it, what is wrong, and what to do about it.
     Check(CheckArgs),
+    /// Make the first frame's mask from a box around the object, or from points on it.
+    Mask(mask::MaskArgs),
     /// Turn the results of a run into assets: textured GLB, OBJ, PLY and STL, and bodies for simulators.
     Export(export::ExportArgs),
+    /// Write report.html into a results folder again: model, timeline, poses on frames, losses, config.
+    Report(ReportArgs),
+    /// Draw box, axes and outline of the mesh over the frames of a results folder.
+    Draw(DrawArgs),
+    /// Print what makes a shell complete this program's arguments.
+    Completions(CompletionsArgs),
+    /// Print the manual page, or write one for every command.
+    Man(ManArgs),
 }
 
 #[derive(Args, Debug)]
@@ -96,7 +120,7 @@ struct RunArgs {
     /// Name of the sequence in the dataset.
     #[arg(long, value_name = "NAME", requires = "dataset")]
     video: Option<String>,
-    /// Folder for the results: ob_in_cam/, masks/, mesh.obj, mesh.ply, keyframes.json, run.json.
+    /// Folder for the results: report.html, ob_in_cam/, masks/, mesh.obj, mesh.ply, keyframes.json, run.json.
     #[arg(long)]
     out: PathBuf,
     /// Replace the results of an earlier run in the folder.
@@ -114,6 +138,47 @@ struct CheckArgs {
     input: PathBuf,
     #[command(flatten)]
     input_options: InputArgs,
+}
+
+#[derive(Args, Debug)]
+struct ReportArgs {
+    /// Folder with the results of a run.
+    results: PathBuf,
+}
+
+#[derive(Args, Debug)]
+struct DrawArgs {
+    /// Folder with the results of a run; PNG files go to its draw/.
+    results: PathBuf,
+    /// Draw every N-th frame.
+    #[arg(long, default_value_t = 1, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    every: u32,
+    /// Write an animation instead of PNG files: .gif, or .webp, .mp4, .webm where ffmpeg is installed.
+    #[arg(long, value_name = "FILE")]
+    video: Option<PathBuf>,
+    /// Pictures per second of the animation.
+    #[arg(long, default_value_t = 15.0, value_name = "N", requires = "video")]
+    fps: f64,
+    /// What to draw: any of box, axes, contour, mask.
+    #[arg(long, default_value = "box,axes,contour", value_name = "LIST", value_parser = layers)]
+    what: bundlesdf::draw::Layers,
+}
+
+fn layers(list: &str) -> Result<bundlesdf::draw::Layers, String> {
+    bundlesdf::draw::Layers::from_names(list)
+}
+
+#[derive(Args, Debug)]
+struct CompletionsArgs {
+    /// The shell.
+    shell: clap_complete::Shell,
+}
+
+#[derive(Args, Debug)]
+struct ManArgs {
+    /// Write bundlesdf.1, bundlesdf-run.1 and so on into this folder instead.
+    #[arg(long, value_name = "FOLDER")]
+    out: Option<PathBuf>,
 }
 
 /// How the input is read.
@@ -146,6 +211,10 @@ struct HowArgs {
     /// lockstep: the tracker waits for the field (reproducible). realtime: it never waits.
     #[arg(long, value_enum, default_value_t = ScheduleArg::Lockstep)]
     schedule: ScheduleArg,
+    /// Where masks come from: `propagate` (built in), `folder:DIR` (PNG files of any naming and size), or
+    /// `command:PROGRAM` (a program fed frames and answering masks, see docs/masks.md).
+    #[arg(long, default_value = "propagate", value_name = "HOW")]
+    segmenter: bundlesdf::SegmenterChoice,
     /// Where the field is trained.
     #[arg(long, value_enum, default_value_t = Device::Auto)]
     device: Device,
@@ -211,19 +280,32 @@ impl HowArgs {
 /// Parses the arguments and runs the command; errors go to standard error in one line.
 pub(crate) fn main() -> ExitCode {
     let cli = Cli::parse();
-    init_tracing(cli.verbose);
-    let outcome = match &cli.command {
-        Command::Demo(args) => demo::demo(args),
-        Command::Run(args) => run::run(args),
-        Command::Refine(args) => refine::refine(args),
-        Command::Check(args) => check::check(args),
-        Command::Export(args) => export::run(args),
+    let log = if cli.json_log { Log::Json } else { Log::Text };
+    let outcome = if cli.json_log && cli.verbose > 0 {
+        Err(anyhow::anyhow!("--json-log and -v would write into each other; leave one of them out"))
+    } else {
+        init_tracing(cli.verbose);
+        dispatch(&cli.command, log)
     };
     outcome.unwrap_or_else(|error| {
-        let text = format!("{error:#}").replace('\n', " ");
-        eprintln!("error: {text}");
+        log.error(&format!("{error:#}"), EXIT_BAD_INPUT);
         ExitCode::from(EXIT_BAD_INPUT)
     })
+}
+
+fn dispatch(command: &Command, log: Log) -> anyhow::Result<ExitCode> {
+    match command {
+        Command::Demo(args) => demo::demo(args, log),
+        Command::Run(args) => run::run(args, log),
+        Command::Refine(args) => refine::refine(args),
+        Command::Check(args) => check::check(args),
+        Command::Mask(args) => mask::mask(args),
+        Command::Report(args) => report::report(args),
+        Command::Export(args) => export::run(args),
+        Command::Draw(args) => draw::draw(args, log),
+        Command::Completions(args) => complete::completions(args),
+        Command::Man(args) => complete::man(args),
+    }
 }
 
 fn init_tracing(verbose: u8) {
@@ -240,7 +322,7 @@ fn init_tracing(verbose: u8) {
     tracing_subscriber::fmt()
         .with_env_filter(filter)
         .with_writer(std::io::stderr)
-        .with_ansi(std::io::stderr().is_terminal())
+        .with_ansi(log::colors_on(&std::io::stderr()))
         .with_span_events(spans)
         .init();
 }

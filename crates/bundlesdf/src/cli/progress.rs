@@ -5,16 +5,20 @@ use std::{io::IsTerminal, time::Duration};
 use bundlesdf::{FrameResult, Observer, OutputFolder, Status, Tracker};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 
-/// Shows frames, rate, keyframes and the latest status while poses go to disk.
+use super::log::Log;
+
+/// Shows (or logs) frames, rate, keyframes and the latest status while poses go to disk.
 pub(super) struct Progress<'a> {
     bar: ProgressBar,
     folder: &'a OutputFolder,
+    log: Log,
     lost: usize,
+    rounds: usize,
 }
 
 impl<'a> Progress<'a> {
-    pub(super) fn new(frames: usize, folder: &'a OutputFolder) -> Self {
-        let target = if std::io::stderr().is_terminal() {
+    pub(super) fn new(frames: usize, folder: &'a OutputFolder, log: Log) -> Self {
+        let target = if log == Log::Text && std::io::stderr().is_terminal() {
             ProgressDrawTarget::stderr()
         } else {
             ProgressDrawTarget::hidden()
@@ -24,7 +28,7 @@ impl<'a> Progress<'a> {
         if let Ok(style) = ProgressStyle::with_template(template) {
             bar.set_style(style.progress_chars("=> "));
         }
-        Self { bar, folder, lost: 0 }
+        Self { bar, folder, log, lost: 0, rounds: 0 }
     }
 
     /// Takes the bar off the screen.
@@ -43,6 +47,12 @@ impl Observer for Progress<'_> {
             self.lost
         ));
         self.bar.inc(1);
+        self.log.frame(result, keyframes);
+        let history = &tracker.field_summary().history;
+        for (round, report) in history.iter().enumerate().skip(self.rounds) {
+            self.log.round(round + 1, report);
+        }
+        self.rounds = history.len();
         if let Some(mask) = tracker.mask() {
             self.folder.write_mask(&result.id, mask)?;
         }
@@ -50,10 +60,11 @@ impl Observer for Progress<'_> {
     }
 
     fn unreadable(&mut self, error: &rgbd_io::Error) {
-        self.bar.suspend(|| eprintln!("warning: {error}; the frame counts as lost"));
+        self.bar.suspend(|| self.log.warning(&format!("{error}; the frame counts as lost")));
     }
 
     fn finishing(&mut self) {
+        self.log.finishing();
         self.bar.set_message("final round and mesh");
         self.bar.enable_steady_tick(Duration::from_millis(200));
     }

@@ -3,11 +3,15 @@
 use std::{io::Write, process::ExitCode, sync::Arc};
 
 use bundlesdf::{
-    Config, OutputFolder, RunReport, Schedule, Status, VideoInput, VideoRun, input::mask_source, run_video,
+    Config, OutputFolder, RunReport, Schedule, SegmenterChoice, Status, Tracker, VideoInput, VideoRun,
+    input::mask_source, run_tracker, segmenter::OnTrouble,
 };
 use rgbd_io::{CustomOptions, FrameSource};
 
-use super::{EXIT_BAD_INPUT, EXIT_INTERRUPTED, InputArgs, RunArgs, progress::Progress, stop_flag};
+use super::{
+    EXIT_BAD_INPUT, EXIT_INTERRUPTED, InputArgs, RunArgs, log::Log, progress::Progress, report::write_report,
+    stop_flag,
+};
 
 /// How the input arguments read a custom folder.
 pub(super) fn custom_options(args: &InputArgs) -> CustomOptions {
@@ -39,19 +43,21 @@ fn video_input(args: &RunArgs) -> anyhow::Result<VideoInput> {
 }
 
 /// Tracks a video.
-pub(super) fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
+pub(super) fn run(args: &RunArgs, log: Log) -> anyhow::Result<ExitCode> {
     let (config, schedule) = args.how.resolve()?;
     let input = video_input(args)?;
     let source = input.open()?;
     let folder = OutputFolder::create(&args.out, args.force)?;
-    let (run, report) = track(source, input, &config, schedule, &folder)?;
+    let (run, report) = track(source, input, (&config, schedule, &args.how.segmenter), &folder, log)?;
+    write_report(&folder, log);
+    log.summary(&report, &folder);
     print(&summary(&report, &folder));
     Ok(match run.unreadable.first() {
         _ if run.interrupted => ExitCode::from(EXIT_INTERRUPTED),
         Some(first) => {
             let others = run.unreadable.len() - 1;
             let more = if others > 0 { format!(" (and {others} more frames)") } else { String::new() };
-            eprintln!("error: {first}{more}");
+            log.error(&format!("{first}{more}"), EXIT_BAD_INPUT);
             ExitCode::from(EXIT_BAD_INPUT)
         }
         None => ExitCode::SUCCESS,
@@ -62,13 +68,17 @@ pub(super) fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
 pub(super) fn track(
     source: Arc<dyn FrameSource>,
     input: VideoInput,
-    config: &Config,
-    schedule: Schedule,
+    (config, schedule, segmenter): (&Config, Schedule, &SegmenterChoice),
     folder: &OutputFolder,
+    log: Log,
 ) -> anyhow::Result<(VideoRun, RunReport)> {
+    let on_trouble: OnTrouble = Arc::new(move |text: &str| log.warning(text));
+    let segmenter = segmenter.build(&*source, on_trouble)?;
+    let tracker = Tracker::new(config.clone(), schedule)?.with_segmenter(segmenter);
     let stop = stop_flag();
-    let mut progress = Progress::new(source.len(), folder);
-    let run = run_video(source, config, schedule, &stop, &mut progress);
+    log.start(source.len(), &input, folder);
+    let mut progress = Progress::new(source.len(), folder, log);
+    let run = run_tracker(source, tracker, &stop, &mut progress);
     progress.close();
     let run = run?;
     folder.write_reconstruction(&run.reconstruction)?;
@@ -104,7 +114,7 @@ pub(super) fn summary(report: &RunReport, folder: &OutputFolder) -> String {
         (
             "results",
             format!(
-                "{} (ob_in_cam/, masks/, mesh.obj, mesh.ply, keyframes.json, run.json)",
+                "{} (report.html, ob_in_cam/, masks/, mesh.obj, mesh.ply, keyframes.json, run.json)",
                 folder.path().display()
             ),
         ),

@@ -11,7 +11,12 @@ use se3_lie::distance::swing_angle;
 
 use super::{Progress, RefineError, Run};
 use crate::{
-    config::Config, global_graph, observation::Observation, pool::MemoryEdge, report::KeyframeReport,
+    config::Config,
+    field_worker::{FieldRequest, Round},
+    global_graph,
+    observation::Observation,
+    pool::MemoryEdge,
+    report::KeyframeReport,
     tracker::offline::matched_pair,
 };
 
@@ -75,10 +80,15 @@ pub(super) fn align(keyframes: &mut [Keyframe], config: &Config) {
             Some(((a.observation.index, b.observation.index), edge))
         })
         .collect();
-    let frames: Vec<_> =
-        keyframes.iter().map(|k| (k.observation.index, k.observation.clone(), k.refined)).collect();
     tracing::debug!(edges = edges.len(), "keyframes matched with each other");
-    if let Some(poses) = global_graph::optimise(&frames, &edges, &config.graph) {
+    let poses: Vec<_> = keyframes.iter().map(|k| k.refined).collect();
+    let request = FieldRequest {
+        round: Round::PoseGraph,
+        graph: config.graph.clone(),
+        edges,
+        frames: keyframes.iter().map(|k| (k.observation.index, k.observation.clone(), k.refined)).collect(),
+    };
+    if let Some(poses) = global_graph::optimise(&request, &poses, None) {
         for (keyframe, pose) in keyframes.iter_mut().zip(poses) {
             keyframe.refined = pose;
         }

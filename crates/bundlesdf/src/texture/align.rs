@@ -3,14 +3,15 @@
 //! A tracked pose is good to a millimetre or two, which is a pixel or two of texture. As in Zhou and Koltun, "Color Map
 //! Optimization for 3D Reconstruction with Consumer Depth Cameras" (SIGGRAPH 2014), with rigid motions alone, two steps
 //! alternate: the mean brightness of every surface point over the views, and for each view the motion that brings its
-//! image closest to these means.
+//! image closest to these means. Brightness is taken relative to the surroundings, since shading moves over an object
+//! that turns under a lamp.
 
 use marching_cubes::TriMesh;
 use nalgebra::{Isometry3, Matrix6, Point3, Translation3, Vector3, Vector6};
 use rayon::prelude::*;
 use rgbd_io::Image;
 
-use super::view::{Prepared, luminance};
+use super::view::{Prepared, contrast};
 
 /// Surface points that take part.
 const POINTS: usize = 12_000;
@@ -20,7 +21,7 @@ const STAGES: [(usize, usize); 2] = [(2, 12), (1, 10)];
 const INSET: f32 = 4.0;
 /// Least cosine at which a point takes part.
 const GRAZING: f32 = 0.3;
-/// Standard deviation of a point's brightness (0 to 255), and the Huber limit in these units.
+/// Standard deviation of a point's brightness (128 = as bright as its surroundings), and the Huber limit in these units.
 const NOISE: f64 = 8.0;
 const HUBER: f64 = 1.5;
 /// Neighbouring points see the same pixels: so many of them count as one.
@@ -45,7 +46,7 @@ pub(super) fn corrections(mesh: &TriMesh, views: &[Prepared]) -> Vec<Isometry3<f
     let points: Vec<Point3<f64>> = points.into_iter().map(|(p, _)| p).collect();
     let mut corrections = vec![Isometry3::identity(); views.len()];
     for (radius, rounds) in STAGES {
-        let images: Vec<Image<f32>> = views.par_iter().map(|view| luminance(view, radius)).collect();
+        let images: Vec<Image<f32>> = views.par_iter().map(|view| contrast(view, radius)).collect();
         let mut gains = vec![1.0f64; views.len()];
         for _ in 0..rounds {
             let samples: Vec<Vec<Option<f64>>> = (0..views.len())

@@ -13,6 +13,10 @@ use super::{
     view::{Prepared, bilinear},
 };
 
+/// Detail is a factor on the broad colour, so that it doesn't depend on how brightly the view's lamp shone there; it is
+/// not trusted where that colour is darker than this (0 to 255), nor beyond this factor.
+const DARK: f32 = 8.0;
+const MOST: f32 = 4.0;
 /// A texel that shows no surface.
 const EMPTY: u32 = u32::MAX;
 
@@ -132,7 +136,7 @@ impl Scene<'_> {
             low_sum += broad;
             if detail > 0.0 {
                 let full = scaled(bilinear(&view.color, pixel), gain);
-                (0..3).for_each(|k| high[k] += detail * (full[k] - base[k]));
+                (0..3).for_each(|k| high[k] += detail * (full[k] / base[k].max(DARK)).min(MOST));
                 high_sum += detail;
             }
         }
@@ -143,8 +147,8 @@ impl Scene<'_> {
         let known: f32 =
             (0..3).filter(|&i| !self.sightings[t[i] as usize].is_empty()).map(|i| weights[i]).sum();
         let color = std::array::from_fn(|k| {
-            let detail = if high_sum > 1e-4 { high[k] / high_sum } else { 0.0 };
-            unseen[k] + known.min(1.0) * (low[k] / low_sum + detail - unseen[k])
+            let detail = if high_sum > 1e-4 { high[k] / high_sum } else { 1.0 };
+            unseen[k] + known.min(1.0) * (low[k] / low_sum * detail - unseen[k])
         });
         (color, true)
     }

@@ -169,10 +169,17 @@ pub(super) fn bilinear(image: &Image<[f32; 3]>, [u, v]: [f32; 2]) -> [f32; 3] {
     })
 }
 
-/// Brightness (0 to 255) of a view, blurred within its usable pixels.
-pub(super) fn luminance(view: &Prepared, radius: usize) -> Image<f32> {
+/// Brightness of a view, blurred within its usable pixels, over that of its surroundings, which takes shading and
+/// exposure out; 128 = as bright as the surroundings.
+pub(super) fn contrast(view: &Prepared, radius: usize) -> Image<f32> {
+    let luminance = |[r, g, b]: [f32; 3]| 0.299 * r + 0.587 * g + 0.114 * b;
     let usable = view.inset.map(|d| *d > 0.0);
-    blurred(&view.color, &usable, radius).map(|[r, g, b]| 0.299 * r + 0.587 * g + 0.114 * b)
+    let fine = blurred(&view.color, &usable, radius);
+    let mut pairs = fine.pixels().iter().zip(view.low.pixels());
+    let (width, height) = fine.size();
+    Image::from_fn(width, height, |_, _| {
+        pairs.next().map_or(128.0, |(f, l)| 128.0 * luminance(*f) / luminance(*l).max(8.0))
+    })
 }
 
 /// Left, top, width and height of the mask with a margin; at least one pixel.

@@ -117,6 +117,13 @@ impl Tracker {
         })
     }
 
+    /// The same tracker with another segmenter than the built-in one; for a tracker that has seen nothing yet.
+    #[must_use]
+    pub fn with_segmenter(mut self, segmenter: Box<dyn VideoSegmenter>) -> Self {
+        self.segmenter = segmenter;
+        self
+    }
+
     /// The memory pool.
     pub fn pool(&self) -> &MemoryPool {
         &self.pool

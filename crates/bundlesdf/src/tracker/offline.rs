@@ -3,9 +3,10 @@
 use matcher::klt::KltOptions;
 use nalgebra::Isometry3;
 use neural_field::TrainedField;
+use se3_lie::distance::swing_angle;
 
 use super::{
-    coarse::{self, Descriptors, Gates, agreement_with_memory, coarse_from_matches, within},
+    coarse::{self, Descriptors, Gates, Search, agreement_with_memory, coarse_from_matches, within},
     correspond::guided_tracks,
     graph::{GraphProblem, GraphResult},
 };
@@ -23,8 +24,15 @@ pub(crate) fn matched_pair(older: Placed<'_>, newer: Placed<'_>, config: &Config
     let c = &config.coarse;
     let to_from = newer.1.inv_mul(older.1);
     let tracks = guided_tracks(older.0, newer.0, &to_from, c.max_corners_memory, &KltOptions::default());
-    let seed = config.seed ^ ((newer.0.index as u64) << 20) ^ older.0.index as u64;
-    let verified = coarse_from_matches(tracks, older.1, newer.1, Gates::CORRECTION, c.min_inliers, c, seed)?;
+    let search = Search {
+        config: c,
+        gates: Gates::CORRECTION,
+        min_inliers: c.min_inliers,
+        focal: newer.0.intrinsics.fx,
+        swing: swing_angle(&older.1.rotation, &newer.1.rotation),
+        seed: config.seed ^ ((newer.0.index as u64) << 20) ^ older.0.index as u64,
+    };
+    let verified = coarse_from_matches(tracks, older.1, newer.1, &search)?;
     Some(MemoryEdge::from_matches(&verified.matches))
 }
 

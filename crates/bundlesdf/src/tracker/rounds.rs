@@ -11,6 +11,7 @@ use crate::{
     config::{Config, Refiner},
     field_worker::{FieldReply, FieldRequest, Round},
     pool::{Keyframe, carry},
+    report::RoundReport,
     surface::fused_surface,
 };
 
@@ -26,6 +27,9 @@ pub struct FieldSummary {
     /// Why rounds failed, if any did.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub failures: Vec<String>,
+    /// Every finished round, the last one over all keyframes included.
+    #[serde(default)]
+    pub history: Vec<RoundReport>,
     /// Time of each finished online round (milliseconds).
     #[serde(skip)]
     pub(super) times: Vec<f64>,
@@ -99,6 +103,7 @@ impl Tracker {
             }
             self.motion.carry(|pose| carry(&old, &new, pose));
         }
+        self.summary.history.push(RoundReport::of(&update));
         self.field = update.field.or(self.field.take());
         self.surface = fused_surface(&self.pool);
         self.summary.rounds += 1;

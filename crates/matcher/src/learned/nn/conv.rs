@@ -97,8 +97,11 @@ impl Conv {
     /// the result does not depend on their number.
     pub(crate) fn run(&self, map: &Map, after: After<'_>) -> Map {
         debug_assert_eq!(map.channels(), self.inputs);
-        let shrink =
-            |n: usize| (n + 2 * usize::from(self.kernel > 1)).saturating_sub(self.kernel) / self.stride + 1;
+        // Of nothing (no keypoint was found) nothing is left.
+        let shrink = |n: usize| {
+            let padded = n + 2 * usize::from(self.kernel > 1);
+            padded.checked_sub(self.kernel).map_or(0, |rest| rest / self.stride + 1)
+        };
         let mut out = Map::zeros(self.outputs, shrink(map.width()), shrink(map.height()));
         let (stride, plane) = (out.stride(), out.plane());
         let phases = (self.stride == 2).then(|| phases(map, &out));

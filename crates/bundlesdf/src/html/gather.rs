@@ -1,0 +1,120 @@
+//! Everything the page shows, read from the results folder.
+
+use std::fs;
+
+use base64::{Engine, engine::general_purpose::STANDARD};
+use nalgebra::{Isometry3, Vector3};
+use rgbd_io::Error;
+
+use super::{
+    glb::vertex_colored_glb,
+    overlays::{Overlays, draw_overlays},
+};
+use crate::{
+    KeyframeReport, RunReport,
+    draw::{Overlay, direction},
+    output::OutputFolder,
+};
+
+/// A finished run.
+pub(super) struct Results {
+    pub(super) report: RunReport,
+    pub(super) keyframes: Vec<KeyframeReport>,
+    /// `cam_from_obj` by frame; `None` where its file is missing.
+    pub(super) poses: Vec<Option<Isometry3<f64>>>,
+    pub(super) overlay: Overlay,
+    pub(super) overlays: Overlays,
+    /// The mesh as base64 of a GLB file.
+    pub(super) model: Option<Model>,
+    /// `eval.json`, where the truth is known.
+    pub(super) scores: Option<serde_json::Value>,
+    /// Names of the files and folders in the results folder.
+    pub(super) files: Vec<String>,
+    /// What could not be read for the page.
+    pub(super) problems: Vec<String>,
+}
+
+/// A GLB file for the viewer.
+pub(super) struct Model {
+    pub(super) base64: String,
+    /// Whether y is up, as glTF wants it; else it is in the object frame, with the first camera's axes.
+    pub(super) y_up: bool,
+}
+
+impl Results {
+    pub(super) fn gather(folder: &OutputFolder) -> Result<Self, Error> {
+        let report = folder.read_report()?;
+        let keyframes = folder.read_keyframes()?;
+        let mut problems = Vec::new();
+        let overlay = Overlay::open(folder).unwrap_or_else(|error| {
+            problems.push(error.to_string());
+            Overlay::new(None)
+        });
+        let poses: Vec<_> = report.frames.iter().map(|f| folder.read_pose(&f.id).ok()).collect();
+        let overlays = draw_overlays(folder, &report, &poses, &overlay);
+        let scores = fs::read(folder.path().join("eval.json")).ok();
+        let mut files: Vec<String> = fs::read_dir(folder.path())
+            .map(|entries| entries.flatten().map(|e| e.file_name().to_string_lossy().into_owned()).collect())
+            .unwrap_or_default();
+        files.sort();
+        Ok(Self {
+            model: model(folder, &overlay),
+            report,
+            keyframes,
+            poses,
+            overlay,
+            overlays,
+            scores: scores.and_then(|bytes| serde_json::from_slice(&bytes).ok()),
+            files,
+            problems,
+        })
+    }
+
+    /// Lengths of the smallest box around the mesh, longest first (centimetres).
+    pub(super) fn size_cm(&self) -> Option<[f64; 3]> {
+        let mut size: [f64; 3] = (self.overlay.bounds()?.size * 100.0).into();
+        size.sort_by(|a, b| b.total_cmp(a));
+        Some(size)
+    }
+
+    /// From which directions of the object frame the camera looked: unit vectors from the object to the camera.
+    pub(super) fn camera_direction(&self, cam_from_obj: &Isometry3<f64>) -> Option<Vector3<f64>> {
+        let centre = self.overlay.bounds().map_or_else(nalgebra::Point3::origin, |b| b.centre());
+        let towards = cam_from_obj.inverse().translation.vector - centre.coords;
+        towards.try_normalize(1e-9)
+    }
+
+    /// Directions of the keyframes' cameras; `None` for a pose that can't be used.
+    pub(super) fn keyframe_directions(&self) -> Vec<Option<Vector3<f64>>> {
+        self.keyframes.iter().map(|k| self.camera_direction(&pose_of(k)?)).collect()
+    }
+
+    /// Share of all viewing directions with a keyframe within 45 degrees: those sides were seen well.
+    pub(super) fn coverage(&self) -> f64 {
+        const SAMPLES: usize = 600;
+        let seen: Vec<_> = self.keyframe_directions().into_iter().flatten().collect();
+        let near = 45_f64.to_radians().cos();
+        let covered =
+            (0..SAMPLES).filter(|i| seen.iter().any(|d| d.dot(&direction(*i, SAMPLES)) > near)).count();
+        covered as f64 / SAMPLES as f64
+    }
+}
+
+/// `cam_from_obj` of a keyframe; `None` when the matrix isn't a pose.
+fn pose_of(keyframe: &KeyframeReport) -> Option<Isometry3<f64>> {
+    let m = nalgebra::Matrix4::from_fn(|r, c| keyframe.cam_from_obj[r][c]);
+    if !m.iter().all(|v| v.is_finite()) {
+        return None;
+    }
+    let rotation = nalgebra::Rotation3::from_matrix_unchecked(m.fixed_view::<3, 3>(0, 0).into_owned());
+    Some(Isometry3::from_parts(m.fixed_view::<3, 1>(0, 3).into_owned().into(), rotation.into()))
+}
+
+/// The exported GLB, or one made from the mesh for a run that wrote none.
+fn model(folder: &OutputFolder, overlay: &Overlay) -> Option<Model> {
+    if let Ok(bytes) = fs::read(folder.path().join("mesh.glb")) {
+        return Some(Model { base64: STANDARD.encode(bytes), y_up: true });
+    }
+    let bytes = vertex_colored_glb(overlay.mesh()?)?;
+    Some(Model { base64: STANDARD.encode(bytes), y_up: false })
+}
