@@ -15,12 +15,27 @@ use serde::{Serialize, de::DeserializeOwned};
 
 use crate::{
     checkpoint,
+    refine::Refined,
     report::{KeyframeReport, RunReport},
     tracker::Reconstruction,
 };
 
 const POSES: &str = "ob_in_cam";
 const MASKS: &str = "masks";
+const REFINED_POSES: &str = "ob_in_cam_refined";
+
+/// Files directly in the folder that a run or a later step writes.
+const FILES: [&str; 9] = [
+    "run.json",
+    "keyframes.json",
+    "mesh.ply",
+    "mesh.obj",
+    "eval.json",
+    "report.html",
+    "keyframes_refined.json",
+    "mesh_refined.ply",
+    "mesh_refined.obj",
+];
 /// Frames with overlays, as `bundlesdf draw` writes them.
 const DRAWN: &str = "draw";
 
@@ -193,6 +208,26 @@ impl OutputFolder {
         self.write_json("keyframes.json", &keyframes)
     }
 
+    /// Writes what a refinement found: `ob_in_cam_refined/<id>.txt`, `keyframes_refined.json`, `mesh_refined.ply` and
+    /// `.obj`. The run's own results stay.
+    ///
+    /// # Errors
+    /// When a file can't be written.
+    pub fn write_refined(&self, refined: &Refined) -> Result<(), Error> {
+        let dir = self.root.join(REFINED_POSES);
+        fs::create_dir_all(&dir).map_err(|e| {
+            Error::new(&dir, format!("can't be prepared ({e})"), "choose a folder you may write to")
+        })?;
+        for frame in &refined.frames {
+            let path = dir.join(format!("{}.txt", frame.id));
+            write_atomic(&path, format_pose(&frame.cam_from_obj).as_bytes())?;
+        }
+        self.write_mesh("mesh_refined.ply", &refined.mesh, marching_cubes::write_ply)?;
+        self.write_mesh("mesh_refined.obj", &refined.mesh, marching_cubes::write_obj)?;
+        let keyframes: Vec<_> = refined.keyframes.iter().map(KeyframeReport::refined).collect();
+        self.write_json("keyframes_refined.json", &keyframes)
+    }
+
     /// Writes `run.json`.
     ///
     /// # Errors
@@ -255,11 +290,12 @@ fn is_temporary(name: &str) -> bool {
 
 /// Removes what an earlier run wrote under its own names.
 fn remove_earlier_run(root: &Path) -> std::io::Result<()> {
-    for dir in [root.to_owned(), root.join(POSES), root.join(MASKS), root.join("state")] {
+    for dir in [root.to_owned(), root.join(POSES), root.join(REFINED_POSES), root.join(MASKS), root.join("state")]
+    {
         remove_temporary(&dir)?;
     }
     checkpoint::remove_from(root)?;
-    for (dir, kind) in [(POSES, "txt"), (MASKS, "png"), (DRAWN, "png")] {
+    for (dir, kind) in [(POSES, "txt"), (REFINED_POSES, "txt"), (MASKS, "png"), (DRAWN, "png")] {
         let dir = root.join(dir);
         if !dir.is_dir() {
             continue;
@@ -274,8 +310,7 @@ fn remove_earlier_run(root: &Path) -> std::io::Result<()> {
     if root.join(crate::export::SIM).join("object.urdf").is_file() {
         fs::remove_dir_all(root.join(crate::export::SIM))?;
     }
-    let names = ["run.json", "keyframes.json", "mesh.ply", "mesh.obj", "eval.json", "report.html"];
-    for name in names.into_iter().chain(crate::export::FILES) {
+    for name in FILES.into_iter().chain(crate::export::FILES) {
         match fs::remove_file(root.join(name)) {
             Err(e) if e.kind() != std::io::ErrorKind::NotFound => return Err(e),
             _ => {}

@@ -47,6 +47,10 @@
 extern crate self as neural_field;
 
 mod adam;
+#[cfg(feature = "bench")]
+pub mod bench;
+mod clock;
+mod closing;
 mod color;
 mod config;
 mod cpu;
@@ -76,6 +80,7 @@ mod sampler;
 mod simd;
 mod tile;
 mod train;
+mod trust;
 mod volume;
 
 pub use config::{FieldConfig, LossWeights};

@@ -25,7 +25,7 @@ impl TrainedField {
         mesh
     }
 
-    fn paint(&self, mesh: &mut TriMesh) {
+    pub(crate) fn paint(&self, mesh: &mut TriMesh) {
         let n = mesh.vertices.len();
         let (mut sdf, mut normals) = (vec![0.0; n], vec![[0.0f32; 3]; n]);
         self.sdf_and_gradient(&mesh.vertices, &mut sdf, &mut normals);
