@@ -33,8 +33,8 @@ const FILES: [&str; 9] = [
     "eval.json",
     "report.html",
     "keyframes_refined.json",
-    "mesh_refined.ply",
-    "mesh_refined.obj",
+    "mesh_online.ply",
+    "mesh_online.obj",
 ];
 /// Frames with overlays, as `bundlesdf draw` writes them.
 const DRAWN: &str = "draw";
@@ -169,7 +169,19 @@ impl OutputFolder {
     /// # Errors
     /// When it is there and damaged.
     pub fn read_mesh(&self) -> Result<Option<TriMesh>, Error> {
-        let path = self.root.join("mesh.ply");
+        self.read_ply("mesh.ply")
+    }
+
+    /// Reads the mesh from before a refinement; `None` when there is none.
+    ///
+    /// # Errors
+    /// When it is there and damaged.
+    pub fn read_online_mesh(&self) -> Result<Option<TriMesh>, Error> {
+        self.read_ply("mesh_online.ply")
+    }
+
+    fn read_ply(&self, name: &str) -> Result<Option<TriMesh>, Error> {
+        let path = self.root.join(name);
         if !path.exists() {
             return Ok(None);
         }
@@ -208,8 +220,8 @@ impl OutputFolder {
         self.write_json("keyframes.json", &keyframes)
     }
 
-    /// Writes what a refinement found: `ob_in_cam_refined/<id>.txt`, `keyframes_refined.json`, `mesh_refined.ply` and
-    /// `.obj`. The run's own results stay.
+    /// Writes what a refinement found: `ob_in_cam_refined/<id>.txt`, `keyframes_refined.json`, `mesh.ply` and
+    /// `mesh.obj`. The run's own results stay, its mesh as `mesh_online.ply` and `mesh_online.obj`.
     ///
     /// # Errors
     /// When a file can't be written.
@@ -222,10 +234,26 @@ impl OutputFolder {
             let path = dir.join(format!("{}.txt", frame.id));
             write_atomic(&path, format_pose(&frame.cam_from_obj).as_bytes())?;
         }
-        self.write_mesh("mesh_refined.ply", &refined.mesh, marching_cubes::write_ply)?;
-        self.write_mesh("mesh_refined.obj", &refined.mesh, marching_cubes::write_obj)?;
+        if !refined.mesh.triangles.is_empty() {
+            self.keep_online("mesh.ply", "mesh_online.ply")?;
+            self.keep_online("mesh.obj", "mesh_online.obj")?;
+            self.write_mesh("mesh.ply", &refined.mesh, marching_cubes::write_ply)?;
+            self.write_mesh("mesh.obj", &refined.mesh, marching_cubes::write_obj)?;
+        }
         let keyframes: Vec<_> = refined.keyframes.iter().map(KeyframeReport::refined).collect();
         self.write_json("keyframes_refined.json", &keyframes)
+    }
+
+    /// Keeps a file of the run under another name, unless an earlier refinement has done so.
+    fn keep_online(&self, name: &str, kept: &str) -> Result<(), Error> {
+        let (from, to) = (self.root.join(name), self.root.join(kept));
+        if to.exists() || !from.is_file() {
+            return Ok(());
+        }
+        let bytes = fs::read(&from).map_err(|e| {
+            Error::new(&from, format!("can't be read ({e})"), "choose a folder you may read and write")
+        })?;
+        write_atomic(&to, &bytes)
     }
 
     /// Writes `run.json`.
@@ -290,7 +318,8 @@ fn is_temporary(name: &str) -> bool {
 
 /// Removes what an earlier run wrote under its own names.
 fn remove_earlier_run(root: &Path) -> std::io::Result<()> {
-    for dir in [root.to_owned(), root.join(POSES), root.join(REFINED_POSES), root.join(MASKS), root.join("state")]
+    for dir in
+        [root.to_owned(), root.join(POSES), root.join(REFINED_POSES), root.join(MASKS), root.join("state")]
     {
         remove_temporary(&dir)?;
     }

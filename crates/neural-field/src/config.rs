@@ -189,18 +189,13 @@ impl FieldConfig {
         }
     }
 
-    /// The last round over all keyframes, after the video has ended: sixteen lattices, the finest ones hashed, an
-    /// appearance code per frame, 2000 steps. About a minute on two cores.
+    /// The last round over all keyframes, after the video has ended: [`realtime`](Self::realtime) with more steps, and
+    /// frames that don't fit lose weight.
+    ///
+    /// More and finer lattices (16 up to 256 cells, hashed beyond 2^17 vertices: `levels`, `finest_resolution`,
+    /// `log2_table_size`) follow the noise of the depth.
     pub fn refine() -> Self {
-        Self {
-            steps: 2000,
-            levels: 16,
-            finest_resolution: 256,
-            log2_table_size: 17,
-            appearance: 8,
-            outlier_ratio: 3.0,
-            ..Self::realtime()
-        }
+        Self { steps: 1500, outlier_ratio: 3.0, ..Self::realtime() }
     }
 
     pub(crate) fn validate(&self) -> Result<(), FieldError> {

@@ -32,7 +32,8 @@ const GRID_AMPLITUDE: f64 = 1e-4;
 pub(crate) fn initial_parameters(config: &FieldConfig, frames: usize) -> Parameters {
     let resolutions = (config.base_resolution, config.finest_resolution);
     let grid = Grid::new(config.levels, resolutions, config.log2_table_size, GRID_AMPLITUDE, config.seed);
-    let networks = Networks::new(grid.width(), config.hidden, config.geometry_features, (config.appearance, frames));
+    let networks =
+        Networks::new(grid.width(), config.hidden, config.geometry_features, (config.appearance, frames));
     Parameters { weights: networks.init(config.seed), grid, networks }
 }
 

@@ -51,6 +51,9 @@ pub struct TrainedField {
     field_from_obj: Isometry3<f64>,
     octree: VoxelOctree,
     support: VoxelOctree,
+    /// How far behind a measured point the sign of the distance is known, metres.
+    reach: f64,
+    frames: Vec<Arc<FieldImages>>,
     poses: Vec<Isometry3<f64>>,
     residuals: Vec<f32>,
     losses: Vec<StepLosses>,
@@ -74,6 +77,8 @@ impl TrainedField {
             truncation: config.truncation,
             residuals: Vec::new(),
             losses,
+            reach: reach(config),
+            frames: frames.clone(),
             support: support.unwrap_or_else(|| octree.clone()),
             center: volume.center,
             edge: volume.edge,
@@ -120,6 +125,15 @@ impl TrainedField {
 
     pub(crate) fn support(&self) -> &VoxelOctree {
         &self.support
+    }
+
+    pub(crate) fn reach(&self) -> f64 {
+        self.reach
+    }
+
+    /// What it was trained on, as many as there are poses.
+    pub(crate) fn frames(&self) -> &[Arc<FieldImages>] {
+        &self.frames
     }
 
     fn model(&self) -> Model<'_, f32> {
@@ -278,6 +292,10 @@ impl TrainedField {
     }
 }
 
+fn reach(config: &FieldConfig) -> f64 {
+    config.behind.clamp(0.2, 1.0) * config.truncation
+}
+
 /// Space within reach of a measured point: there the sign of the distance was observed. Deeper inside the object than
 /// samples reach it is anybody's guess, and a mesh would get inner walls. A point that only one of many frames has
 /// seen does not count: it may be a pixel between object and background.
@@ -288,12 +306,12 @@ fn support(
     poses: &[Isometry3<f64>],
 ) -> Option<VoxelOctree> {
     // From one to two voxels around a point are within reach.
-    let reach = (config.behind.clamp(0.2, 1.0) * config.truncation) as f32;
+    let reach = reach(config) as f32;
     let voxel = (0.4 * reach).min(0.5 * octree.voxel_size());
     let key = |p: &[f32; 3]| p.map(|v| (v / (2.0 * voxel)).floor() as i32);
     let mut cloud = Vec::new();
     // By cell: the last frame that had a point in it, and the number of frames.
-    let mut seen: HashMap<[i32; 3], (usize, u32)> = HashMap::new();
+    let mut seen: HashMap<[i32; 3], (usize, usize)> = HashMap::new();
     for (f, (frame, pose)) in frames.iter().zip(poses).enumerate() {
         let from = cloud.len();
         frame.points(pose, SUPPORT_POINTS, &mut cloud);

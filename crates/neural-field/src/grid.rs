@@ -265,10 +265,8 @@ mod tests {
 
     #[test]
     fn lattices_beyond_the_table_are_hashed_evenly() {
-        let c = crate::config::FieldConfig::refine();
-        let resolutions = (c.base_resolution, c.finest_resolution);
-        let grid = Grid::<f32>::new(c.levels, resolutions, c.log2_table_size, 1e-4, 0);
-        let table = 1usize << c.log2_table_size;
+        let grid = Grid::<f32>::new(16, (16, 256), 17, 1e-4, 0);
+        let table = 1usize << 17;
         let hashed: Vec<&Level> = grid.levels.iter().filter(|l| l.hash_mask.is_some()).collect();
         assert!(grid.levels.len() == 16 && hashed.len() >= 5 && hashed.len() < 16);
         for level in hashed {

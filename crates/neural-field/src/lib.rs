@@ -77,6 +77,7 @@ mod rays;
 mod real;
 mod round;
 mod sampler;
+mod sight;
 mod simd;
 mod tile;
 mod train;

@@ -77,7 +77,8 @@ fn one_bad_keyframe_does_not_spoil_the_others() {
     let (frames, truth) = noisy_views(&BOX, 12, 80, 0.0005);
     let mut start = perturb(&truth, 0.003, 0.02);
     start[5] = Translation3::new(0.03, -0.02, 0.034) * truth[5];
-    let field = run(&FieldConfig { steps: 200, surface_rays: 256, outlier_ratio: 3.0, ..small() }, &frames, &start);
+    let field =
+        run(&FieldConfig { steps: 200, surface_rays: 256, outlier_ratio: 3.0, ..small() }, &frames, &start);
     let shift = |f: usize| (field.poses()[f] * truth[f].inverse() * nalgebra::Point3::origin()).coords.norm();
     let others = (0..12).filter(|f| *f != 5).map(shift).fold(0.0, f64::max);
     let error = median(&sdf_errors(&field, &BOX, 0.001, 2000));
@@ -122,6 +123,17 @@ fn what_was_not_seen_stays_open_and_is_bridged_on_request() {
     let volume = 4.0 / 3.0 * std::f64::consts::PI * 1e-3;
     assert!((0.5..1.1).contains(&(closed.signed_volume() / volume)));
     assert!(field.extract_closed_mesh(f32::NAN).vertices.is_empty());
+}
+
+#[test]
+fn noisy_depth_makes_no_surface_inside() {
+    // Points scatter so far that the space known to be near some of them reaches where nothing was sampled.
+    let (frames, poses) = noisy_views(&BOX, 24, 100, 0.005);
+    let field = run(&FieldConfig { pose_learning_rate: 0.0, surface_rays: 256, ..small() }, &frames, &poses);
+    let mesh = field.extract_mesh(0.003);
+    let deep = mesh.vertices.iter().filter(|v| BOX.sdf(v.map(f64::from)) < -0.006).count();
+    println!("{deep} of {} vertices are inside", mesh.vertices.len());
+    assert!(mesh.vertices.len() > 5000 && deep < mesh.vertices.len() / 200);
 }
 
 #[test]

@@ -276,7 +276,7 @@ fn asked(method: Method, place: Place, repeat: u64, masks: &Masks, how: &How) ->
             config.memory.rule = other.memory.rule;
             config.memory.min_swing_deg = other.memory.min_swing_deg;
         }
-        Method::Ours | Method::Baseline(_) => {}
+        Method::Ours | Method::Refined | Method::Baseline(_) => {}
     }
     let schedule = match how.schedule {
         Turns::Lockstep => Schedule::Lockstep,

@@ -319,7 +319,7 @@ fn dispatch(command: &Command, log: Log) -> anyhow::Result<ExitCode> {
     match command {
         Command::Demo(args) => demo::demo(args, log),
         Command::Run(args) => run::run(args, log),
-        Command::Refine(args) => refine::refine(args),
+        Command::Refine(args) => refine::refine(args, log),
         Command::Check(args) => check::check(args),
         Command::Mask(args) => mask::mask(args),
         Command::Report(args) => report::report(args),

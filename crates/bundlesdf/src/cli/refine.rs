@@ -2,21 +2,22 @@
 
 use std::{io::IsTerminal, path::PathBuf, process::ExitCode};
 
+use anyhow::Context;
 use bundlesdf::{
     OutputFolder, RunReport, Status, VideoInput,
-    evaluate::{Truth, evaluate},
+    evaluate::{Scores, Truth, evaluate},
     refine::{Progress, RefineError, RefineOptions, Refined, refine as refine_run},
 };
 use clap::Args;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use rgbd_synth::Sequence;
 
-use super::{EXIT_INTERRUPTED, run::print, stop_flag};
+use super::{EXIT_INTERRUPTED, log::Log, report::write_report, run::print, stop_flag};
 
 #[derive(Args, Debug)]
 pub(super) struct RefineArgs {
-    /// Folder of a run that has ended. Adds ob_in_cam_refined/, keyframes_refined.json, mesh_refined.ply and .obj;
-    /// the run's own results stay.
+    /// Folder of a run that has ended. Adds ob_in_cam_refined/ and keyframes_refined.json and replaces the mesh; the
+    /// run's own poses stay, and its mesh as mesh_online.ply and mesh_online.obj.
     out: PathBuf,
     /// Bridge the holes of the mesh where the object was never seen: watertight.
     #[arg(long)]
@@ -30,7 +31,7 @@ pub(super) struct RefineArgs {
 }
 
 /// Refines a run and prints what changed.
-pub(super) fn refine(args: &RefineArgs) -> anyhow::Result<ExitCode> {
+pub(super) fn refine(args: &RefineArgs, log: Log) -> anyhow::Result<ExitCode> {
     anyhow::ensure!(
         args.spacing.is_finite() && args.spacing > 0.0,
         "--spacing must be above 0 metres, is {}",
@@ -42,7 +43,13 @@ pub(super) fn refine(args: &RefineArgs) -> anyhow::Result<ExitCode> {
         options.field.steps = steps as usize;
     }
     let bar = Bar::new();
-    let refined = refine_run(&folder, &options, &stop_flag(), &|at| bar.show(at));
+    let report = folder.read_report()?;
+    let input = report.input.as_ref().with_context(|| {
+        let folder = folder.path().display();
+        format!("{folder}: run.json doesn't say where the video is; run it again with `bundlesdf run`")
+    })?;
+    let source = input.open()?;
+    let refined = refine_run(&folder, &*source, &options, &stop_flag(), &|at| bar.show(at));
     bar.0.finish_and_clear();
     let refined = match refined {
         Err(RefineError::Stopped) => {
@@ -52,7 +59,7 @@ pub(super) fn refine(args: &RefineArgs) -> anyhow::Result<ExitCode> {
         other => other?,
     };
     folder.write_refined(&refined)?;
-    let report = folder.read_report()?;
+    write_report(&folder, log);
     print(&summary(&refined, &folder));
     print(&truth_lines(&report, &folder, &refined)?);
     Ok(ExitCode::SUCCESS)
@@ -108,7 +115,7 @@ fn summary(refined: &Refined, folder: &OutputFolder) -> String {
         (
             "results",
             format!(
-                "{} (ob_in_cam_refined/, keyframes_refined.json, mesh_refined.ply, mesh_refined.obj)",
+                "{} (ob_in_cam_refined/, keyframes_refined.json, mesh.ply, mesh.obj; before: mesh_online.ply)",
                 folder.path().display()
             ),
         ),
@@ -133,14 +140,18 @@ fn truth_lines(report: &RunReport, folder: &OutputFolder, refined: &Refined) -> 
     let online =
         report.frames.iter().map(|f| folder.read_pose(&f.id)).collect::<Result<Vec<_>, rgbd_io::Error>>()?;
     let lost = report.count(Status::Lost);
-    let before = evaluate(&online, None, lost, &truth);
+    let online_mesh = folder.read_online_mesh()?;
+    let before = evaluate(&online, online_mesh.as_ref(), lost, &truth);
     let poses: Vec<_> = refined.frames.iter().map(|f| f.cam_from_obj).collect();
     let unmeasured = refined.frames.iter().filter(|f| !f.measured).count();
     let after = evaluate(&poses, Some(&refined.mesh), unmeasured, &truth);
-    let chamfer = after.cd_cm.map_or_else(String::new, |cd| format!(", chamfer {cd:.2} cm"));
+    let line = |name: &str, s: &Scores| {
+        let chamfer = s.cd_cm.map_or_else(String::new, |cd| format!(", chamfer {cd:.2} cm"));
+        format!("{name:<10} ADD AUC {:.2}, ADD-S AUC {:.2} (0 to 0.1 m, percent){chamfer}", s.add, s.add_s)
+    };
     Ok(format!(
-        "online     ADD AUC {:.2}, ADD-S AUC {:.2} (0 to 0.1 m, percent), {lost} lost\n\
-         refined    ADD AUC {:.2}, ADD-S AUC {:.2}{chamfer}, {unmeasured} not measured\n",
-        before.add, before.add_s, after.add, after.add_s
+        "{}, {lost} lost\n{}, {unmeasured} not measured\n",
+        line("online", &before),
+        line("refined", &after)
     ))
 }

@@ -6,7 +6,6 @@ use std::sync::{
 };
 
 use nalgebra::{Isometry3, Matrix3, Rotation3, UnitQuaternion, Vector3};
-use neural_field::TrainedField;
 use rayon::prelude::*;
 use se3_lie::distance::swing_angle;
 
@@ -70,12 +69,10 @@ fn obj_from_cam(report: &KeyframeReport) -> Isometry3<f64> {
     Isometry3::from_parts(Vector3::new(m[0][3], m[1][3], m[2][3]).into(), rotation).inverse()
 }
 
-/// Matches of pairs of keyframes, by the numbers of their frames.
-pub(super) type Edges = Vec<((usize, usize), MemoryEdge)>;
-
-/// Matches keyframes with each other.
-pub(super) fn matched(keyframes: &[Keyframe], config: &Config) -> Edges {
-    let edges: Edges = pairs(keyframes)
+/// Moves the keyframes to where matches and depth of all pairs agree best; the first one stays. Closes loops that are
+/// wider open than the field's own pull on the poses reaches.
+pub(super) fn align(keyframes: &mut [Keyframe], config: &Config) {
+    let edges: Vec<((usize, usize), MemoryEdge)> = pairs(keyframes)
         .into_par_iter()
         .filter_map(|(older, newer)| {
             let (a, b) = (&keyframes[older], &keyframes[newer]);
@@ -84,12 +81,6 @@ pub(super) fn matched(keyframes: &[Keyframe], config: &Config) -> Edges {
         })
         .collect();
     tracing::debug!(edges = edges.len(), "keyframes matched with each other");
-    edges
-}
-
-/// Moves the keyframes to where matches and depth of all pairs, and the field if there is one, agree best; the first
-/// one stays. Closes loops that are wider open than the field's own pull on the poses reaches.
-pub(super) fn align(keyframes: &mut [Keyframe], edges: Edges, field: Option<&TrainedField>, config: &Config) {
     let poses: Vec<_> = keyframes.iter().map(|k| k.refined).collect();
     let request = FieldRequest {
         round: Round::PoseGraph,
@@ -97,7 +88,7 @@ pub(super) fn align(keyframes: &mut [Keyframe], edges: Edges, field: Option<&Tra
         edges,
         frames: keyframes.iter().map(|k| (k.observation.index, k.observation.clone(), k.refined)).collect(),
     };
-    if let Some(poses) = global_graph::optimise(&request, &poses, field) {
+    if let Some(poses) = global_graph::optimise(&request, &poses, None) {
         for (keyframe, pose) in keyframes.iter_mut().zip(poses) {
             keyframe.refined = pose;
         }

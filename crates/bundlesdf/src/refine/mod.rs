@@ -16,6 +16,8 @@ use marching_cubes::TriMesh;
 use nalgebra::Isometry3;
 use neural_field::{Control, FieldConfig, FieldError, FieldImages, StepLosses, TrainedField};
 
+use rgbd_io::FrameSource;
+
 use crate::{observation::Observation, output::OutputFolder};
 
 /// What a refinement does.
@@ -99,9 +101,6 @@ pub enum RefineError {
     /// A file of the run or of its video is missing or can't be used.
     #[error(transparent)]
     File(#[from] rgbd_io::Error),
-    /// The run's frames were fed by a program, or it was made by an older version.
-    #[error("{0}: run.json doesn't say where the video is; run it again with `bundlesdf run`")]
-    NoInput(String),
     /// No keyframe can be read again.
     #[error(
         "{0}: none of the run's keyframes shows the object; give the folder of a run that tracked something"
@@ -115,7 +114,7 @@ pub enum RefineError {
     Stopped,
 }
 
-/// Refines the results in `folder`; writes nothing (see [`OutputFolder::write_refined`]).
+/// Refines the results in `folder` of a run on the video `source`; writes nothing (see [`OutputFolder::write_refined`]).
 ///
 /// `progress` is called from several threads. Runs on the current rayon pool, on the CPU.
 ///
@@ -123,22 +122,20 @@ pub enum RefineError {
 /// When the run or its video can't be read again, when the field can't be trained, or when `stop` is set.
 pub fn refine(
     folder: &OutputFolder,
+    source: &dyn FrameSource,
     options: &RefineOptions,
     stop: &AtomicBool,
     progress: &(dyn Fn(Progress) + Sync),
 ) -> Result<Refined, RefineError> {
     let start = Instant::now();
-    let name = || folder.path().display().to_string();
     let report = folder.read_report()?;
-    let source = report.input.as_ref().ok_or_else(|| RefineError::NoInput(name()))?.open()?;
-    let run = Run { folder, config: &report.config, source: &*source };
+    let run = Run { folder, config: &report.config, source };
 
     let mut keyframes = keyframes::read(&run, stop, progress)?;
     if keyframes.is_empty() {
-        return Err(RefineError::NoKeyframes(name()));
+        return Err(RefineError::NoKeyframes(folder.path().display().to_string()));
     }
-    let edges = keyframes::matched(&keyframes, run.config);
-    keyframes::align(&mut keyframes, edges, None, run.config);
+    keyframes::align(&mut keyframes, run.config);
     let begin = Instant::now();
     let field = train(&keyframes, &options.field, stop, progress)?;
     let training = begin.elapsed();
@@ -170,7 +167,7 @@ pub fn refine(
 struct Run<'a> {
     folder: &'a OutputFolder,
     config: &'a crate::Config,
-    source: &'a dyn rgbd_io::FrameSource,
+    source: &'a dyn FrameSource,
 }
 
 impl Run<'_> {
