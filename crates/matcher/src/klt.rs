@@ -47,6 +47,10 @@ pub struct Track {
     pub position: [f32; 2],
     /// Zero-mean normalised cross-correlation of the (warped) template and the patch at `position`, -1 to 1.
     pub ncc: f32,
+    /// How well the template's texture ties the position down in its worst direction: the smaller eigenvalue of the
+    /// mean structure tensor on the finest level, (gray levels per pixel)^2. An appearance that changes by `e` gray
+    /// levels moves the position by about `e / sqrt(texture)` pixels.
+    pub texture: f32,
 }
 
 /// The identity as a 2x2 row-major warp.
@@ -132,10 +136,11 @@ struct Window {
     patch: Vec<f32>,
 }
 
-/// What is precomputed from the template: its energy and the inverse of the 2x2 normal matrix.
+/// What is precomputed from the template: its energy, the inverse of the 2x2 normal matrix and its smaller eigenvalue.
 struct Normal {
     energy: f32,
     inverse: [f32; 3],
+    texture: f32,
 }
 
 impl Window {
@@ -185,7 +190,7 @@ impl Window {
         if !finite || levels == 0 || !inside(&from.levels()[0], p) {
             return None;
         }
-        let mut ncc = None;
+        let mut found_at = None;
         for level in (0..levels).rev() {
             let (image_a, image_b) = (&from.levels()[level], &to.levels()[level]);
             let scale = 1.0 / (1_u32 << level.min(31)) as f32;
@@ -195,19 +200,23 @@ impl Window {
             self.weights.copy_from_slice(if level == 0 { &self.gaussian } else { &self.flat });
             let normal =
                 self.set_template(image_a, [p[0] * scale, p[1] * scale], from_target, options.min_eigenvalue);
-            let found = normal.and_then(|n| self.search(image_b, start, &n, epsilon, options.max_iterations));
+            let found = normal.and_then(|n| {
+                let (end, ncc) = self.search(image_b, start, &n, epsilon, options.max_iterations)?;
+                Some((end, ncc, n.texture))
+            });
             match found {
-                Some((end, value)) => {
+                Some((end, ncc, texture)) => {
                     q = [end[0] / scale, end[1] / scale];
-                    ncc = Some(value);
+                    found_at = Some((ncc, texture));
                 }
                 // A coarse level without texture or convergence just doesn't help.
                 None if level > 0 => {}
                 None => return None,
             }
         }
-        inside(&to.levels()[0], q)
-            .then(|| ncc.map(|ncc| Track { position: [q[0] + to.origin()[0], q[1] + to.origin()[1]], ncc }))?
+        let (ncc, texture) = found_at?;
+        let position = [q[0] + to.origin()[0], q[1] + to.origin()[1]];
+        inside(&to.levels()[0], q).then_some(Track { position, ncc, texture })
     }
 
     /// Cuts the template at `p` in the geometry of the target; `None` without enough texture.
@@ -286,8 +295,11 @@ impl Window {
         let [a, b, c] = sums.map(|s| s.iter().sum::<f32>());
         let smallest = 0.5 * (a + c - ((a - c) * (a - c) + 4.0 * b * b).sqrt());
         let det = a * c - b * b;
-        (smallest >= min_eigenvalue.max(1e-6) && det > 0.0)
-            .then(|| Normal { energy, inverse: [c / det, -b / det, a / det] })
+        (smallest >= min_eigenvalue.max(1e-6) && det > 0.0).then(|| Normal {
+            energy,
+            inverse: [c / det, -b / det, a / det],
+            texture: smallest,
+        })
     }
 
     /// Moves from `start` to the best match on one level; `None` if it runs away, loses correlation, or gets worse.

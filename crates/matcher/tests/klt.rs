@@ -189,3 +189,29 @@ fn odd_inputs_give_none() {
     // Missing guesses are the points themselves.
     assert!(track(&textured, &textured, &middle, &[], None, &options)[0].is_some());
 }
+
+#[test]
+fn a_change_of_light_moves_points_by_what_their_texture_says() {
+    // The same picture in full and in a tenth of the contrast, under the same change of appearance.
+    let light = |x: usize, y: usize| 2.0 * (0.9 * x as f32 + 0.4 * y as f32).sin();
+    let moved = |contrast: f32| {
+        let plain = Image::from_fn(SIZE.0, SIZE.1, |x, y| contrast * texture(x as f32, y as f32, 7));
+        let lit = Image::from_fn(SIZE.0, SIZE.1, |x, y| plain[(x, y)] + light(x, y));
+        let points = corners(&Image::from_fn(SIZE.0, SIZE.1, |x, y| texture(x as f32, y as f32, 7)));
+        let options = KltOptions { min_eigenvalue: 1e-3, min_ncc: 0.0, ..KltOptions::default() };
+        let (plain, lit) = (Pyramid::new(plain, 1), Pyramid::new(lit, 1));
+        let tracks = track(&plain, &lit, &points, &points, None, &options);
+        let found = points.iter().zip(tracks).filter_map(|(p, t)| t.map(|t| (p, t)));
+        let mut values: Vec<[f32; 2]> =
+            found.map(|(p, t)| [(t.position[0] - p[0]).hypot(t.position[1] - p[1]), t.texture]).collect();
+        assert!(values.len() > 60, "{}", values.len());
+        let mut median = |column: usize| {
+            values.sort_by(|a, b| a[column].total_cmp(&b[column]));
+            values[values.len() / 2][column]
+        };
+        [median(0), median(1)]
+    };
+    let ([strong, much], [weak, little]) = (moved(1.0), moved(0.1));
+    assert!((much / little / 100.0 - 1.0).abs() < 0.1, "textures {much} and {little}");
+    assert!((5.0..20.0).contains(&(weak / strong)), "moved by {strong} and {weak} px");
+}

@@ -1,7 +1,7 @@
 //! Correspondences between two observations whose relative pose is roughly known: corners of one are projected into
 //! the other, their patches warped by the local surface plane, and tracked to sub-pixel accuracy.
 
-use matcher::klt::{KltOptions, track_forward_backward};
+use matcher::klt::{KltOptions, Track, track_forward_backward};
 use matcher::ransac::LiftedMatch;
 use nalgebra::{Isometry3, Point3, Vector3};
 
@@ -72,9 +72,22 @@ pub(crate) fn guided_tracks(
                 return None;
             }
             let (b, normal_b) = to.lift(track.position)?;
-            Some(Correspondence { a, normal_a, b, normal_b, weight: track.ncc.clamp(0.0, 1.0) })
+            Some(Correspondence { a, normal_a, b, normal_b, weight: confidence(&track) })
         })
         .collect()
+}
+
+/// How far a track is believed, 0 to 1: its correlation, less where little texture holds it in place.
+///
+/// Shading and highlights change a patch by some gray levels as the object turns. Strong texture hardly moves by that;
+/// on a plain surface the track follows the light instead of the object.
+fn confidence(track: &Track) -> f32 {
+    /// Change of appearance that gain and bias don't explain (gray levels).
+    const APPEARANCE: f32 = 3.0;
+    /// Scatter of good tracks (pixels).
+    const SCATTER: f32 = 1.0;
+    let strength = track.texture * SCATTER * SCATTER;
+    track.ncc.clamp(0.0, 1.0) * strength / (strength + APPEARANCE * APPEARANCE)
 }
 
 /// Where `corner` of `from` should appear in `to`, and the 2x2 warp (row-major) of its neighbourhood under the plane
