@@ -2,7 +2,6 @@
 
 use crate::field::TrainedField;
 use marching_cubes::{TriMesh, extract_dense};
-use rayon::prelude::*;
 
 /// Most lattice points of an extraction; the spacing grows when more would be needed.
 const MAX_POINTS: f32 = 2e7;
@@ -55,14 +54,11 @@ impl TrainedField {
                 points.push(p);
             }
         }
-        let (mut sdf, mut slopes) = (vec![0.0; points.len()], vec![[0.0; 3]; points.len()]);
-        self.sdf_and_gradient(&points, &mut sdf, &mut slopes);
-        let sight = self.sight();
-        let seen: Vec<bool> =
-            points.par_iter().zip(&slopes).map(|(p, slope)| sight.has_seen(*p, *slope)).collect();
+        let mut sdf = vec![0.0; points.len()];
+        self.sdf(&points, &mut sdf);
         let inverse = 1.0 / self.truncation() as f32;
-        for ((i, s), seen) in places.into_iter().zip(sdf).zip(seen) {
-            if s.is_finite() && seen {
+        for (i, s) in places.into_iter().zip(sdf) {
+            if s.is_finite() {
                 lattice.values[i] = (s * inverse).clamp(-1.0, 1.0);
                 lattice.known[i] = true;
             }

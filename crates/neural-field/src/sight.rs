@@ -55,13 +55,9 @@ impl<'a> Sight<'a> {
 }
 
 impl TrainedField {
-    pub(crate) fn sight(&self) -> Sight<'_> {
-        Sight::new(self.frames(), self.poses(), self.reach())
-    }
-
     /// Takes out the triangles of which no frame has seen any corner; the mesh must have normals.
     pub(crate) fn drop_unseen(&self, mesh: &mut TriMesh) {
-        let sight = self.sight();
+        let sight = Sight::new(self.frames(), self.poses(), self.reach());
         let seen: Vec<bool> =
             mesh.vertices.par_iter().zip(&mesh.normals).map(|(p, n)| sight.has_seen(*p, *n)).collect();
         mesh.triangles.retain(|t| t.iter().any(|i| seen[*i as usize]));
