@@ -2,6 +2,7 @@
 //!
 //! A config file is TOML with the same structure; keys that are missing keep their default, unknown keys are refused.
 
+use matcher::learned::MatcherSpec;
 use posegraph::SolveOptions;
 use serde::{Deserialize, Serialize};
 
@@ -64,6 +65,10 @@ impl Default for PreprocessConfig {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct CoarseConfig {
+    /// What compares views that are too far apart for point tracks: `classical`, or a network with the file of its
+    /// weights, `edgepoint2:FILE` or `xfeat:FILE`.
+    #[serde(with = "matcher_name")]
+    pub matcher: MatcherSpec,
     /// Corners tracked from the previous frame.
     pub max_corners: usize,
     /// Corners tracked from each memory frame.
@@ -90,6 +95,7 @@ pub struct CoarseConfig {
 impl Default for CoarseConfig {
     fn default() -> Self {
         Self {
+            matcher: MatcherSpec::Classical,
             max_corners: 300,
             max_corners_memory: 120,
             hypotheses: 500,
@@ -101,6 +107,20 @@ impl Default for CoarseConfig {
             max_translation: 0.06,
             max_rotation_deg: 30.0,
         }
+    }
+}
+
+/// A matcher as it is written on a command line.
+mod matcher_name {
+    use matcher::learned::MatcherSpec;
+    use serde::{Deserialize, Deserializer, Serializer, de::Error};
+
+    pub(super) fn serialize<S: Serializer>(spec: &MatcherSpec, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.collect_str(spec)
+    }
+
+    pub(super) fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<MatcherSpec, D::Error> {
+        String::deserialize(deserializer)?.parse().map_err(D::Error::custom)
     }
 }
 

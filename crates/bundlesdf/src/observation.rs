@@ -56,6 +56,7 @@ pub struct Observation {
     max_corners: usize,
     corners: OnceLock<Vec<[f32; 2]>>,
     features: OnceLock<Features>,
+    wide_features: OnceLock<Features>,
 }
 
 /// Why a frame shows too little of the object to be tracked.
@@ -130,6 +131,7 @@ impl Observation {
             max_corners: config.coarse.max_corners.max(config.coarse.max_corners_memory),
             corners: OnceLock::new(),
             features: OnceLock::new(),
+            wide_features: OnceLock::new(),
         })
     }
 
@@ -151,6 +153,11 @@ impl Observation {
     /// The roll-invariant descriptor features of this observation, computed by `detect` on first use.
     pub(crate) fn features(&self, detect: impl FnOnce() -> Features) -> &Features {
         self.features.get_or_init(detect)
+    }
+
+    /// The features that a network finds in the crop as it is, computed by `detect` on first use.
+    pub(crate) fn wide_features(&self, detect: impl FnOnce() -> Features) -> &Features {
+        self.wide_features.get_or_init(detect)
     }
 
     /// Point and normal at a sub-pixel position: bilinear where the four pixels lie on one surface, else nearest.

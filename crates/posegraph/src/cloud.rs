@@ -2,10 +2,12 @@
 //! that is matched with other views.
 
 use crate::graph::DenseView;
+use crate::lanes::{LANES, Lane};
 use crate::options::{Gates, SolveOptions};
+use crate::transform::Rigid;
 
 /// A source pixel of the dense term.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct Sample {
     pub(crate) point: [f32; 3],
     pub(crate) normal: [f32; 3],
@@ -67,9 +69,19 @@ impl<'a> Cloud<'a> {
     ///
     /// Goes outward from the projection and leaves out all pixels whose rays pass too far away to score better: near
     /// convergence that leaves the nearest four, whatever the radius.
-    #[inline(always)]
     pub(crate) fn nearest_compatible(&self, p: [f32; 3], n: [f32; 3], gates: &Gates) -> Option<usize> {
-        let (u, v, dx, dy) = self.project(p)?;
+        self.best_near(self.project(p)?, p, n, gates)
+    }
+
+    /// The same for a point that has been projected.
+    #[inline(always)]
+    pub(crate) fn best_near(
+        &self,
+        Position { u, v, dx, dy }: Position,
+        p: [f32; 3],
+        n: [f32; 3],
+        gates: &Gates,
+    ) -> Option<usize> {
         // No pixel is farther than this.
         let farthest = u.max(self.width - 1 - u).max(v).max(self.height - 1 - v).max(0);
         let radius = gates.radius.min(farthest as usize) as i32;
@@ -132,7 +144,7 @@ impl<'a> Cloud<'a> {
 
     /// Whether a match that an earlier search found would pass these gates too.
     pub(crate) fn is_compatible(&self, pixel: usize, p: [f32; 3], n: [f32; 3], gates: &Gates) -> bool {
-        let Some((u, v, ..)) = self.project(p) else { return false };
+        let Some(Position { u, v, .. }) = self.project(p) else { return false };
         let search = Search { p, n, gates, best: Search::NONE };
         let (column, row) = (pixel as i32 % self.width.max(1), pixel as i32 / self.width.max(1));
         let offset = (column - u).unsigned_abs().max((row - v).unsigned_abs());
@@ -140,17 +152,42 @@ impl<'a> Cloud<'a> {
         passes && offset as usize <= gates.radius
     }
 
-    /// Nearest pixel (column, row) of a point's projection, and the projection relative to it; `None` behind the
-    /// camera.
+    /// Where a point projects to; `None` behind the camera.
     #[inline(always)]
-    fn project(&self, p: [f32; 3]) -> Option<(i32, i32, f32, f32)> {
+    fn project(&self, p: [f32; 3]) -> Option<Position> {
         if p[2].is_nan() || p[2] <= 0.0 {
             return None;
         }
         let inverse_depth = 1.0 / p[2];
         let (x, y) = (self.fx * p[0] * inverse_depth + self.cx, self.fy * p[1] * inverse_depth + self.cy);
         let (u, v) = (nearest_pixel(x), nearest_pixel(y));
-        Some((u, v, x - u as f32, y - v as f32))
+        Some(Position { u, v, dx: x - u as f32, dy: y - v as f32 })
+    }
+
+    /// [`Self::project`] of eight samples after a rigid motion.
+    #[inline(always)]
+    pub(crate) fn project_all(&self, transform: &Rigid<f32>, samples: &[Sample; LANES]) -> Projections {
+        let (r, t) = (&transform.r, &transform.t);
+        let mut all = Projections::default();
+        let lanes = |of: &dyn Fn(&Sample) -> f32| -> Lane { std::array::from_fn(|l| of(&samples[l])) };
+        let (p, n) = ([0, 1, 2].map(|k| lanes(&|s| s.point[k])), [0, 1, 2].map(|k| lanes(&|s| s.normal[k])));
+        for k in 0..3 {
+            let [a, b, c] = [r[3 * k], r[3 * k + 1], r[3 * k + 2]];
+            for l in 0..LANES {
+                all.point[k][l] = a * p[0][l] + b * p[1][l] + c * p[2][l] + t[k];
+                all.normal[k][l] = a * n[0][l] + b * n[1][l] + c * n[2][l];
+            }
+        }
+        for l in 0..LANES {
+            let inverse_depth = 1.0 / all.point[2][l];
+            let x = self.fx * all.point[0][l] * inverse_depth + self.cx;
+            let y = self.fy * all.point[1][l] * inverse_depth + self.cy;
+            all.u[l] = nearest_pixel(x);
+            all.v[l] = nearest_pixel(y);
+            all.dx[l] = x - all.u[l] as f32;
+            all.dy[l] = y - all.v[l] as f32;
+        }
+        all
     }
 
     /// Compares the best so far with `N` pixels of a row, all inside.
@@ -178,6 +215,41 @@ impl<'a> Cloud<'a> {
         for (k, (point, normal)) in points.iter().zip(normals).enumerate() {
             search.best = search.best.min(search.key(point, normal, start + k));
         }
+    }
+}
+
+/// Nearest pixel (column, row) of a projection, and the projection relative to it.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Position {
+    u: i32,
+    v: i32,
+    dx: f32,
+    dy: f32,
+}
+
+/// Eight samples in the target's camera frame and where they project to.
+#[derive(Debug, Default)]
+pub(crate) struct Projections {
+    point: [Lane; 3],
+    normal: [Lane; 3],
+    u: [i32; LANES],
+    v: [i32; LANES],
+    dx: Lane,
+    dy: Lane,
+}
+
+impl Projections {
+    /// Point and normal of one sample.
+    #[inline(always)]
+    pub(crate) fn lane(&self, l: usize) -> ([f32; 3], [f32; 3]) {
+        ([0, 1, 2].map(|k| self.point[k][l]), [0, 1, 2].map(|k| self.normal[k][l]))
+    }
+
+    /// Where it projects to; `None` behind the camera.
+    #[inline(always)]
+    pub(crate) fn position(&self, l: usize) -> Option<Position> {
+        let in_front = self.point[2][l] > 0.0;
+        in_front.then_some(Position { u: self.u[l], v: self.v[l], dx: self.dx[l], dy: self.dy[l] })
     }
 }
 

@@ -8,6 +8,7 @@ use crate::lanes::LANES;
 use crate::moments::{self, Block};
 use crate::normal::NormalEquations;
 use crate::options::SolveOptions;
+use crate::simd;
 use crate::stats::{Extent, Residuals};
 use crate::transform::{Rigid, is_finite, widen};
 
@@ -71,12 +72,12 @@ impl FeatureTerm {
 
     pub(crate) fn cost(&self, poses: &[Isometry3<f64>]) -> f64 {
         let placed = self.place(poses);
-        self.scale * moments::cost(&self.blocks, (&placed.a, &placed.b), self.delta as f32)
+        self.scale * simd::feature_cost(&self.blocks, (&placed.a, &placed.b), self.delta as f32)
     }
 
     pub(crate) fn linearise(&self, poses: &[Isometry3<f64>], normal: &mut NormalEquations) -> f64 {
         let placed = self.place(poses);
-        let (sums, cost) = moments::sums(&self.blocks, (&placed.a, &placed.b), self.delta as f32);
+        let (sums, cost) = simd::feature_sums(&self.blocks, (&placed.a, &placed.b), self.delta as f32);
         let blocks = sums.finish();
         // The sums are about the centre: lift them to the object's origin.
         let lift = lift(&Translation3::from(placed.centre).into());

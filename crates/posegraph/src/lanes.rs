@@ -3,8 +3,6 @@
 //! Points are stored relative to centres of their clouds, so that single precision resolves nanometres on an object of
 //! decimetres; rows are short sums in single precision, and totals are double.
 
-use nalgebra::{Matrix6, Vector6};
-
 use crate::jacobian::RowSums;
 use crate::transform::Rigid;
 
@@ -91,6 +89,7 @@ pub(crate) fn total(lane: &Lane) -> f64 {
 }
 
 /// Sum of the weighted losses.
+#[inline(always)]
 pub(crate) fn cost(blocks: &[Block], target_from_source: &Rigid<f32>, delta: f32) -> f64 {
     let mut cost = 0.0;
     for chunk in blocks.chunks(CHUNK) {
@@ -113,11 +112,8 @@ struct Rows {
 }
 
 /// `J^T W J`, `J^T W r` with the rows of the target node `[n; p x n]`, and the sum of the weighted losses.
-pub(crate) fn linearise(
-    blocks: &[Block],
-    target_from_source: &Rigid<f32>,
-    delta: f32,
-) -> (Matrix6<f64>, Vector6<f64>, f64) {
+#[inline(always)]
+pub(crate) fn linearise(blocks: &[Block], target_from_source: &Rigid<f32>, delta: f32) -> (RowSums, f64) {
     let mut sums = RowSums::default();
     let mut cost = 0.0;
     let empty = [[0.0; LANES]; CHUNK];
@@ -143,11 +139,11 @@ pub(crate) fn linearise(
         cost += total(&sum);
         accumulate(&rows, chunk.len(), &mut sums);
     }
-    let (h, g) = sums.finish();
-    (h, g, cost)
+    (sums, cost)
 }
 
 /// Adds the outer products of the first `len` blocks of rows.
+#[inline(always)]
 fn accumulate(rows: &Rows, len: usize, sums: &mut RowSums) {
     let mut k = 0;
     let mut weighted = [[0.0; LANES]; CHUNK];
@@ -224,8 +220,11 @@ mod tests {
                 sums.add(&row, f64::from(weight) * w, r);
                 residuals.push(r);
             }
-            let (h, g, total) = linearise(&blocks, &single, delta as f32);
+            let (got, total) = linearise(&blocks, &single, delta as f32);
+            let (h, g) = got.finish();
             let (expected_h, expected_g) = sums.finish();
+            let (wide, _) = crate::simd::dense_sums(&blocks, &single, delta as f32);
+            assert_eq!(wide.h, got.h, "every instruction set gives the same bits");
             assert!((h - expected_h).amax() <= 2e-6 * expected_h.amax(), "{count}: {h}{expected_h}");
             assert!((g - expected_g).amax() <= 1e-5 * (1e-2 + expected_g.amax()), "{count}: {g}{expected_g}");
             assert!((total - expected).abs() <= 1e-5 * expected);

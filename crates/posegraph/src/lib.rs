@@ -53,6 +53,7 @@ pub mod g2o;
 mod graph;
 mod jacobian;
 mod lanes;
+mod matches;
 mod moments;
 mod normal;
 mod options;
@@ -60,6 +61,7 @@ mod parallel;
 mod prior;
 mod problem;
 mod sdf;
+mod simd;
 mod solve;
 #[cfg(feature = "sparse")]
 pub mod sparse;

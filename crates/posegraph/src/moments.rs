@@ -59,6 +59,7 @@ fn transform(t: &Rigid<f32>, [x, y, z]: &[Lane; 3]) -> [Lane; 3] {
 }
 
 /// Sum of the weighted losses.
+#[inline(always)]
 pub(crate) fn cost(blocks: &[Block], poses: (&Rigid<f32>, &Rigid<f32>), delta: f32) -> f64 {
     let mut cost = 0.0;
     for chunk in blocks.chunks(CHUNK) {
@@ -122,6 +123,7 @@ impl Sums {
         (0..LANES).for_each(|l| self.w[l] += w[l]);
     }
 
+    #[inline(always)]
     fn add_to(&self, sums: &mut MatchSums) {
         fn each<const N: usize>(lanes: &[Lane; N], sums: &mut [f64; N]) {
             lanes.iter().zip(sums).for_each(|(lane, sum)| *sum += total(lane));
@@ -138,6 +140,7 @@ impl Sums {
 }
 
 /// Weighted moments of the transformed points, and the sum of the weighted losses.
+#[inline(always)]
 pub(crate) fn sums(blocks: &[Block], poses: (&Rigid<f32>, &Rigid<f32>), delta: f32) -> (MatchSums, f64) {
     let mut all = MatchSums::default();
     let mut cost = 0.0;

@@ -50,13 +50,14 @@ impl<'a> Problem<'a> {
             }
         }
         let mut dense = Vec::new();
+        let edges = graph.dense_edges.len();
         let mut has_dense = vec![false; graph.nodes.len()];
         if options.dense_weight > 0.0 {
             for (index, edge) in graph.dense_edges.iter().enumerate() {
                 if free(edge.source) || free(edge.target) {
                     has_dense[edge.source] = true;
                     has_dense[edge.target] = true;
-                    dense.push(DenseTerm::new(index, (edge.source, edge.target), options));
+                    dense.push(DenseTerm::new((index, edges), (edge.source, edge.target), options));
                 }
             }
         }

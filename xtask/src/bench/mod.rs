@@ -4,6 +4,8 @@ mod field;
 mod marching_cubes;
 mod mask;
 mod peer;
+mod posegraph;
+mod tracker;
 
 use clap::Subcommand;
 use std::process::ExitCode;
@@ -17,6 +19,10 @@ pub(crate) enum Part {
     MarchingCubes(marching_cubes::MarchingCubesArgs),
     /// The built-in segmenter: region J, boundary F and time per frame, with the true poses in place of a tracker.
     Mask(mask::MaskArgs),
+    /// Public pose graphs to their optimum: cost, steps and time, beside GTSAM's.
+    Posegraph(posegraph::PosegraphArgs),
+    /// The tracker: frames per second and milliseconds by stage, alone and beside the field's training.
+    Tracker(tracker::TrackerArgs),
 }
 
 /// Measures one part.
@@ -25,5 +31,7 @@ pub(crate) fn run(part: &Part) -> anyhow::Result<ExitCode> {
         Part::Field(args) => field::run(args),
         Part::MarchingCubes(args) => marching_cubes::run(args),
         Part::Mask(args) => mask::run(args),
+        Part::Posegraph(args) => posegraph::run(args),
+        Part::Tracker(args) => tracker::run(args),
     }
 }

@@ -3,6 +3,7 @@
 use super::benchmark::Benchmark;
 use super::job::{Asked, Job};
 use super::method::Method;
+use super::peer;
 use super::synth;
 use super::video::{Masks, Place};
 use anyhow::Context;
@@ -97,12 +98,15 @@ pub(super) struct How {
     /// Sequences; without it, all there are.
     #[arg(long, value_delimiter = ',', value_name = "NAME,...")]
     videos: Vec<String>,
-    /// Methods: ours, bundletrack, kinectfusion, sdf2sdf, frame-to-frame, or all.
+    /// Methods: ours, bundletrack, kinectfusion, sdf2sdf, frame-to-frame, or all; and open3d, which needs --peer.
     #[arg(long, value_delimiter = ',', default_value = "ours", value_name = "NAME,...")]
     method: Vec<String>,
     /// Ablations of ours beside them: no-memory, no-nof, gpg, no-hybrid-sdf, no-compact-pool, or all.
     #[arg(long, value_delimiter = ',', value_name = "NAME,...")]
     ablate: Vec<String>,
+    /// Python with Open3D (pip install open3d), for the method open3d.
+    #[arg(long, value_name = "PYTHON")]
+    peer: Option<PathBuf>,
     /// Masks to track with: the first frame's, those given for every frame, or those of a folder.
     #[arg(long, default_value = "first", value_name = "first|gt|FOLDER")]
     masks: String,
@@ -229,7 +233,13 @@ fn split(dir: &Path) -> anyhow::Result<(PathBuf, String)> {
 }
 
 fn plan(benchmark: Benchmark, how: &How, places: Places) -> anyhow::Result<Plan<'_>> {
-    let methods = Method::parse(&how.method, &how.ablate)?;
+    let mut methods = Method::parse(&how.method, &how.ablate)?;
+    if methods.contains(&Method::Open3d) && !peer::has_open3d(how.peer.as_deref()) {
+        eprintln!(
+            "skipped: open3d, for want of a Python that has it (pip install open3d, then --peer PYTHON)"
+        );
+        methods.retain(|m| *m != Method::Open3d);
+    }
     anyhow::ensure!(!methods.is_empty(), "no method is named; --method all runs them all");
     let masks = Masks::parse(&how.masks);
     let mut jobs = Vec::new();
@@ -254,10 +264,11 @@ fn plan(benchmark: Benchmark, how: &How, places: Places) -> anyhow::Result<Plan<
 }
 
 fn asked(method: Method, place: Place, repeat: u64, masks: &Masks, how: &How) -> anyhow::Result<Asked> {
-    if let Method::Baseline(_) = method {
+    if let Method::Baseline(_) | Method::Open3d = method {
         // These can't find masks.
         let masks = if *masks == Masks::First { Masks::Given } else { masks.clone() };
-        return Ok(Asked { method, place, repeat, masks, schedule: None, config: None });
+        let python = how.peer.clone().filter(|_| method == Method::Open3d);
+        return Ok(Asked { method, place, repeat, masks, schedule: None, config: None, python });
     }
     let mut config = match &how.config {
         Some(path) => {
@@ -276,11 +287,12 @@ fn asked(method: Method, place: Place, repeat: u64, masks: &Masks, how: &How) ->
             config.memory.rule = other.memory.rule;
             config.memory.min_swing_deg = other.memory.min_swing_deg;
         }
-        Method::Ours | Method::Refined | Method::Baseline(_) => {}
+        Method::Ours | Method::Refined | Method::Baseline(_) | Method::Open3d => {}
     }
     let schedule = match how.schedule {
         Turns::Lockstep => Schedule::Lockstep,
         Turns::Realtime => Schedule::Realtime,
     };
-    Ok(Asked { method, place, repeat, masks: masks.clone(), schedule: Some(schedule), config: Some(config) })
+    let (masks, schedule, config) = (masks.clone(), Some(schedule), Some(config));
+    Ok(Asked { method, place, repeat, masks, schedule, config, python: None })
 }

@@ -21,6 +21,9 @@ pub(super) struct Asked {
     /// Of our tracker; `None` for the baselines, which have numbers of their own.
     pub(super) schedule: Option<Schedule>,
     pub(super) config: Option<Config>,
+    /// Python of a method that is written in it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(super) python: Option<PathBuf>,
 }
 
 /// The program that ran a job.
@@ -155,6 +158,7 @@ mod tests {
             masks: Masks::First,
             schedule: Some(Schedule::Lockstep),
             config: Some(Config::default()),
+            python: None,
         }
     }
 

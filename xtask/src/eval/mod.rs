@@ -12,6 +12,7 @@ mod job;
 mod json;
 mod layout;
 mod method;
+mod peer;
 mod published;
 mod queue;
 mod report;

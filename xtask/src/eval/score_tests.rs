@@ -52,7 +52,8 @@ fn sequence(root: &Path) -> Asked {
         object: None,
         stride: 1,
     };
-    Asked { method: Method::Ours, place, repeat: 0, masks: Masks::Given, schedule: None, config: None }
+    let (masks, schedule, config) = (Masks::Given, None, None);
+    Asked { method: Method::Ours, place, repeat: 0, masks, schedule, config, python: None }
 }
 
 /// What a run leaves behind that tracked without error, in an object frame of its own.

@@ -9,7 +9,7 @@ const SDF2SDF: Method = Method::Baseline(Baseline::Sdf2Sdf);
 fn asked(benchmark: Benchmark, video: &str, method: Method, repeat: u64) -> Asked {
     let (root, name) = ("data".into(), video.to_owned());
     let place = Place { benchmark, root, name, models: None, object: None, stride: 1 };
-    Asked { method, place, repeat, masks: Masks::First, schedule: None, config: None }
+    Asked { method, place, repeat, masks: Masks::First, schedule: None, config: None, python: None }
 }
 
 /// A run with the same ADD and ADD-S error in every frame.

@@ -2,6 +2,7 @@
 
 use super::job::Asked;
 use super::method::Method;
+use super::peer;
 use super::video::{Masks, Video};
 use anyhow::Context;
 use baselines::{Baseline, BaselineConfig, PoseFusion};
@@ -27,6 +28,7 @@ pub(super) fn track(asked: &Asked, folder: &Path) -> anyhow::Result<()> {
     let out = OutputFolder::create(folder, true)?;
     match asked.method {
         Method::Baseline(baseline) => run_baseline(baseline, asked, &video, &out),
+        Method::Open3d => peer::run(asked.python.as_deref(), &video, &out, SPACING),
         _ => run_ours(asked, video, &out),
     }
 }
@@ -102,16 +104,16 @@ fn fused(video: &Video, run: &VideoRun, out: &OutputFolder) -> TriMesh {
 
 /// The part of `run.json` that the score reads, for methods that aren't ours.
 #[derive(Serialize)]
-struct BaselineReport {
-    frames: Vec<BaselineFrame>,
-    tracking_hz_median: f64,
-    wall_s: f64,
+pub(super) struct BaselineReport {
+    pub(super) frames: Vec<BaselineFrame>,
+    pub(super) tracking_hz_median: f64,
+    pub(super) wall_s: f64,
 }
 
 #[derive(Serialize)]
-struct BaselineFrame {
-    id: String,
-    status: Status,
+pub(super) struct BaselineFrame {
+    pub(super) id: String,
+    pub(super) status: Status,
 }
 
 fn run_baseline(

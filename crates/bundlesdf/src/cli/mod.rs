@@ -130,7 +130,7 @@ struct RunArgs {
     /// are those it began with, and so is the result.
     #[arg(long, value_name = "OUT", conflicts_with_all = [
         "input", "out", "force", "dataset", "video", "masks", "first_mask", "stride", "depth_scale", "config",
-        "ablate", "schedule", "device", "deterministic", "segmenter",
+        "ablate", "schedule", "device", "deterministic", "segmenter", "matcher",
     ])]
     resume: Option<PathBuf>,
     /// Replace the results of an earlier run in the folder.
@@ -225,6 +225,10 @@ struct HowArgs {
     /// `command:PROGRAM` (a program fed frames and answering masks, see docs/masks.md).
     #[arg(long, default_value = "propagate", value_name = "HOW")]
     segmenter: bundlesdf::SegmenterChoice,
+    /// What compares views that are too far apart for point tracks, instead of what the config says: `classical`
+    /// (built in), `edgepoint2:FILE` or `xfeat:FILE` (a network with the file of weights that its authors publish).
+    #[arg(long, value_name = "HOW")]
+    matcher: Option<matcher::learned::MatcherSpec>,
     /// Where the field is trained, instead of what the config says; auto is a GPU if this build can use one and there
     /// is one, else the CPU.
     #[arg(long, value_enum)]
@@ -283,6 +287,9 @@ impl HowArgs {
                 Device::Gpu => FieldDevice::Gpu,
             };
         }
+        if let Some(spec) = &self.matcher {
+            config.coarse.matcher = absolute(spec);
+        }
         if self.deterministic {
             anyhow::ensure!(
                 config.field.device != FieldDevice::Gpu,
@@ -296,6 +303,17 @@ impl HowArgs {
             ScheduleArg::Realtime => bundlesdf::Schedule::Realtime,
         };
         Ok((config, schedule))
+    }
+}
+
+/// What goes on with the run later may be started elsewhere.
+fn absolute(spec: &matcher::learned::MatcherSpec) -> matcher::learned::MatcherSpec {
+    use matcher::learned::MatcherSpec;
+    match spec {
+        MatcherSpec::Learned(network, path) => {
+            MatcherSpec::Learned(*network, path.canonicalize().unwrap_or_else(|_| path.clone()))
+        }
+        MatcherSpec::Classical => MatcherSpec::Classical,
     }
 }
 

@@ -14,6 +14,7 @@ use se3_lie::distance::{rotation_angle, swing_angle};
 use super::{
     correspond::{Correspondence, guided_tracks},
     verify::{Agreement, depth_agreement},
+    wide::{Turned, WideMatcher},
 };
 use crate::{
     config::{CoarseConfig, Config},
@@ -172,6 +173,8 @@ pub(super) struct Descriptors {
     upright: ScaleSpaceMatcher,
     /// After a loss, when the roll is anyone's guess.
     any_roll: ScaleSpaceMatcher,
+    /// A network in their place, where the config names one.
+    pub(super) wide: Option<WideMatcher>,
 }
 
 impl Default for Descriptors {
@@ -179,11 +182,16 @@ impl Default for Descriptors {
         let with = |orientation| ScaleSpaceMatcher {
             options: ScaleSpaceOptions { orientation, ..ScaleSpaceOptions::default() },
         };
-        Self { upright: with(Orientation::Upright), any_roll: with(Orientation::Dominant) }
+        Self { upright: with(Orientation::Upright), any_roll: with(Orientation::Dominant), wide: None }
     }
 }
 
 impl Descriptors {
+    /// With the network that the config names, if it names one.
+    pub(super) fn new(wide: Option<WideMatcher>) -> Self {
+        Self { wide, ..Self::default() }
+    }
+
     fn detect(matcher: &ScaleSpaceMatcher, observation: &Observation, roll: f64) -> Features {
         let gray = &observation.pyramid.levels()[0];
         RollCrop::new(gray, &observation.mask, roll, &CropOptions::default())
@@ -199,14 +207,30 @@ impl Descriptors {
         observation: &Observation,
         guess: &Isometry3<f64>,
     ) -> Vec<Correspondence> {
+        if let Some(wide) = &self.wide {
+            let turned = wide.turned(observation, [WideMatcher::steps(obj_from_reference, guess)]);
+            let to_from = guess.inv_mul(obj_from_reference);
+            let find = |b: &Features| wide.correspondences((reference, observation), b, &to_from);
+            return turned.values().flat_map(find).collect();
+        }
         let roll = roll_between(&obj_from_reference.rotation.inverse(), &guess.rotation.inverse());
         let a = Self::detect(&self.upright, reference, 0.0);
         let b = Self::detect(&self.upright, observation, roll);
         lift_matches(reference, observation, &self.upright.match_features(&a, &b))
     }
 
+    /// The new frame's features for [`Self::at_any_roll`].
+    fn turned(&self, observation: &Observation) -> Option<Turned> {
+        self.wide.as_ref().map(|wide| wide.turned(observation, WideMatcher::quarter_turns()))
+    }
+
     /// Matches that need no pose; features are detected once per observation.
-    fn at_any_roll(&self, a: &Observation, b: &Observation) -> Vec<Correspondence> {
+    fn at_any_roll(&self, a: &Observation, b: &Observation, in_b: Option<&Turned>) -> Vec<Correspondence> {
+        if let (Some(wide), Some(turned)) = (&self.wide, in_b) {
+            // The turn with the most matches is the right one, or next to it.
+            let matches = turned.values().map(|in_b| wide.matches(a, in_b)).max_by_key(Vec::len);
+            return lift_matches(a, b, &matches.unwrap_or_default());
+        }
         let detect = |o: &Observation| Self::detect(&self.any_roll, o, 0.0);
         let (in_a, in_b) = (a.features(|| detect(a)), b.features(|| detect(b)));
         lift_matches(a, b, &self.any_roll.match_features(in_a, in_b))
@@ -235,8 +259,9 @@ pub(super) fn relocalise(
     const MIN_AGREEMENT: f64 = 0.5;
     const MIN_OVERLAP: usize = 30;
     let mut best: Option<CoarsePose> = None;
+    let turned = descriptors.turned(observation);
     for keyframe in pool.keyframes() {
-        let matches = descriptors.at_any_roll(&keyframe.observation, observation);
+        let matches = descriptors.at_any_roll(&keyframe.observation, observation, turned.as_ref());
         let found = coarse_from_matches(
             matches,
             &keyframe.obj_from_cam,

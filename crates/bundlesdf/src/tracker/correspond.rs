@@ -81,7 +81,7 @@ pub(crate) fn guided_tracks(
 ///
 /// Shading and highlights change a patch by some gray levels as the object turns. Strong texture hardly moves by that;
 /// on a plain surface the track follows the light instead of the object.
-fn confidence(track: &Track) -> f32 {
+pub(super) fn confidence(track: &Track) -> f32 {
     /// Change of appearance that gain and bias don't explain (gray levels).
     const APPEARANCE: f32 = 3.0;
     /// Scatter of good tracks (pixels).
@@ -92,7 +92,7 @@ fn confidence(track: &Track) -> f32 {
 
 /// Where `corner` of `from` should appear in `to`, and the 2x2 warp (row-major) of its neighbourhood under the plane
 /// through `point` with `normal`.
-fn predict(
+pub(super) fn predict(
     from: &Observation,
     to: &Observation,
     to_from: &Isometry3<f64>,

@@ -8,6 +8,7 @@ use super::{
     Tracker,
     coarse::{CoarsePose, Gates, Search, coarse_from_matches, joint_motion},
     correspond::{Correspondence, guided_tracks},
+    wide::WideMatcher,
 };
 use crate::{observation::Observation, pool::MemoryEdge};
 
@@ -63,7 +64,7 @@ impl Tracker {
         (pose, edges)
     }
 
-    /// Point tracks from each selected keyframe into the new frame.
+    /// Point tracks from each selected keyframe into the new frame, and the matches of a network where there is one.
     fn memory_tracks(
         &self,
         observation: &Observation,
@@ -71,11 +72,20 @@ impl Tracker {
         selected: &[usize],
     ) -> Vec<(usize, Vec<Correspondence>)> {
         let (pool, corners) = (&self.pool, self.config.coarse.max_corners_memory);
+        let wide = self.descriptors.wide.as_ref().map(|wide| {
+            let seen = selected.iter().filter_map(|position| pool.keyframes().get(*position));
+            (wide, wide.turned(observation, seen.map(|k| WideMatcher::steps(&k.obj_from_cam, guess))))
+        });
         let track = |position: &usize| {
             let keyframe = pool.keyframes().get(*position)?;
             let to_from = guess.inv_mul(&keyframe.obj_from_cam);
             let options = KltOptions::default();
-            let tracks = guided_tracks(&keyframe.observation, observation, &to_from, corners, &options);
+            let mut tracks = guided_tracks(&keyframe.observation, observation, &to_from, corners, &options);
+            if let Some((wide, turned)) = &wide
+                && let Some(in_b) = turned.get(&WideMatcher::steps(&keyframe.obj_from_cam, guess))
+            {
+                tracks.extend(wide.correspondences((&keyframe.observation, observation), in_b, &to_from));
+            }
             (!tracks.is_empty()).then_some((*position, tracks))
         };
         selected.par_iter().filter_map(track).collect()

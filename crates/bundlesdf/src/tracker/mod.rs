@@ -10,6 +10,7 @@ mod result;
 mod rounds;
 mod save;
 mod verify;
+mod wide;
 
 use std::{
     sync::{Arc, atomic::AtomicBool},
@@ -29,6 +30,7 @@ use self::{
     graph::{GraphProblem, GraphResult},
     motion::Motion,
     save::Provenance,
+    wide::WideMatcher,
 };
 pub use self::{
     result::{FrameResult, StageTimes, Status},
@@ -99,16 +101,17 @@ impl Tracker {
     /// A tracker that has seen nothing yet.
     ///
     /// # Errors
-    /// When a value of the config is outside its range.
+    /// When a value of the config is outside its range, or the weights of its matcher can't be read.
     pub fn new(config: Config, schedule: Schedule) -> Result<Self, ConfigError> {
         config.validate().map_err(|problem| ConfigError { path: "config".into(), problem })?;
+        let descriptors = Descriptors::new(WideMatcher::load(&config.coarse.matcher)?);
         let worker =
             (config.field.refiner != Refiner::None).then(|| FieldWorker::new(config.field.device, None));
         Ok(Self {
             config,
             schedule,
             pool: MemoryPool::default(),
-            descriptors: Descriptors::default(),
+            descriptors,
             segmenter: Box::new(Propagate::default()),
             given: None,
             surface: Vec::new(),
@@ -146,6 +149,11 @@ impl Tracker {
     /// What the field has done so far.
     pub fn field_summary(&self) -> &FieldSummary {
         &self.summary
+    }
+
+    /// Whether a round of the field is under way beside the tracker.
+    pub fn is_field_busy(&self) -> bool {
+        self.worker.as_ref().is_some_and(FieldWorker::is_busy)
     }
 
     /// The newest trained field, once there is one.

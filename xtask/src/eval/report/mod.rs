@@ -176,7 +176,7 @@ impl Palette {
     }
 
     fn of(&self, method: Method) -> usize {
-        let mut known = Method::all().into_iter().chain(Method::ablations());
+        let mut known = Method::all().into_iter().chain(Method::ablations()).chain([Method::Open3d]);
         known.position(|m| m == method).unwrap_or(0) % COLORS
     }
 
