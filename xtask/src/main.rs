@@ -24,7 +24,7 @@ enum Command {
         #[command(subcommand)]
         target: Box<eval::Target>,
     },
-    /// Measure a single part of the system.
+    /// Measure the speed of single parts, against a peer where one is given.
     Bench {
         #[command(subcommand)]
         part: bench::Part,

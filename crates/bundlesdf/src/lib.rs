@@ -43,6 +43,7 @@ pub mod observation;
 pub mod output;
 mod pool;
 mod raster;
+pub mod refine;
 pub mod report;
 mod rigid;
 pub mod segmenter;

@@ -15,12 +15,27 @@ use serde::{Serialize, de::DeserializeOwned};
 
 use crate::{
     checkpoint,
+    refine::Refined,
     report::{KeyframeReport, RunReport},
     tracker::Reconstruction,
 };
 
 const POSES: &str = "ob_in_cam";
 const MASKS: &str = "masks";
+const REFINED_POSES: &str = "ob_in_cam_refined";
+
+/// Files directly in the folder that a run or a later step writes.
+const FILES: [&str; 9] = [
+    "run.json",
+    "keyframes.json",
+    "mesh.ply",
+    "mesh.obj",
+    "eval.json",
+    "report.html",
+    "keyframes_refined.json",
+    "mesh_online.ply",
+    "mesh_online.obj",
+];
 /// Frames with overlays, as `bundlesdf draw` writes them.
 const DRAWN: &str = "draw";
 
@@ -154,7 +169,19 @@ impl OutputFolder {
     /// # Errors
     /// When it is there and damaged.
     pub fn read_mesh(&self) -> Result<Option<TriMesh>, Error> {
-        let path = self.root.join("mesh.ply");
+        self.read_ply("mesh.ply")
+    }
+
+    /// Reads the mesh from before a refinement; `None` when there is none.
+    ///
+    /// # Errors
+    /// When it is there and damaged.
+    pub fn read_online_mesh(&self) -> Result<Option<TriMesh>, Error> {
+        self.read_ply("mesh_online.ply")
+    }
+
+    fn read_ply(&self, name: &str) -> Result<Option<TriMesh>, Error> {
+        let path = self.root.join(name);
         if !path.exists() {
             return Ok(None);
         }
@@ -191,6 +218,42 @@ impl OutputFolder {
         }
         let keyframes: Vec<_> = reconstruction.keyframes.iter().map(KeyframeReport::of).collect();
         self.write_json("keyframes.json", &keyframes)
+    }
+
+    /// Writes what a refinement found: `ob_in_cam_refined/<id>.txt`, `keyframes_refined.json`, `mesh.ply` and
+    /// `mesh.obj`. The run's own results stay, its mesh as `mesh_online.ply` and `mesh_online.obj`.
+    ///
+    /// # Errors
+    /// When a file can't be written.
+    pub fn write_refined(&self, refined: &Refined) -> Result<(), Error> {
+        let dir = self.root.join(REFINED_POSES);
+        fs::create_dir_all(&dir).map_err(|e| {
+            Error::new(&dir, format!("can't be prepared ({e})"), "choose a folder you may write to")
+        })?;
+        for frame in &refined.frames {
+            let path = dir.join(format!("{}.txt", frame.id));
+            write_atomic(&path, format_pose(&frame.cam_from_obj).as_bytes())?;
+        }
+        if !refined.mesh.triangles.is_empty() {
+            self.keep_online("mesh.ply", "mesh_online.ply")?;
+            self.keep_online("mesh.obj", "mesh_online.obj")?;
+            self.write_mesh("mesh.ply", &refined.mesh, marching_cubes::write_ply)?;
+            self.write_mesh("mesh.obj", &refined.mesh, marching_cubes::write_obj)?;
+        }
+        let keyframes: Vec<_> = refined.keyframes.iter().map(KeyframeReport::refined).collect();
+        self.write_json("keyframes_refined.json", &keyframes)
+    }
+
+    /// Keeps a file of the run under another name, unless an earlier refinement has done so.
+    fn keep_online(&self, name: &str, kept: &str) -> Result<(), Error> {
+        let (from, to) = (self.root.join(name), self.root.join(kept));
+        if to.exists() || !from.is_file() {
+            return Ok(());
+        }
+        let bytes = fs::read(&from).map_err(|e| {
+            Error::new(&from, format!("can't be read ({e})"), "choose a folder you may read and write")
+        })?;
+        write_atomic(&to, &bytes)
     }
 
     /// Writes `run.json`.
@@ -255,11 +318,13 @@ fn is_temporary(name: &str) -> bool {
 
 /// Removes what an earlier run wrote under its own names.
 fn remove_earlier_run(root: &Path) -> std::io::Result<()> {
-    for dir in [root.to_owned(), root.join(POSES), root.join(MASKS), root.join("state")] {
+    for dir in
+        [root.to_owned(), root.join(POSES), root.join(REFINED_POSES), root.join(MASKS), root.join("state")]
+    {
         remove_temporary(&dir)?;
     }
     checkpoint::remove_from(root)?;
-    for (dir, kind) in [(POSES, "txt"), (MASKS, "png"), (DRAWN, "png")] {
+    for (dir, kind) in [(POSES, "txt"), (REFINED_POSES, "txt"), (MASKS, "png"), (DRAWN, "png")] {
         let dir = root.join(dir);
         if !dir.is_dir() {
             continue;
@@ -274,8 +339,7 @@ fn remove_earlier_run(root: &Path) -> std::io::Result<()> {
     if root.join(crate::export::SIM).join("object.urdf").is_file() {
         fs::remove_dir_all(root.join(crate::export::SIM))?;
     }
-    let names = ["run.json", "keyframes.json", "mesh.ply", "mesh.obj", "eval.json", "report.html"];
-    for name in names.into_iter().chain(crate::export::FILES) {
+    for name in FILES.into_iter().chain(crate::export::FILES) {
         match fs::remove_file(root.join(name)) {
             Err(e) if e.kind() != std::io::ErrorKind::NotFound => return Err(e),
             _ => {}

@@ -1,6 +1,7 @@
 //! `run.json` and `keyframes.json`: what a run did, for programs.
 
 use marching_cubes::TriMesh;
+use nalgebra::Isometry3;
 use neural_field::StepLosses;
 use serde::{Deserialize, Serialize};
 
@@ -10,6 +11,7 @@ use crate::{
     field_worker::FieldUpdate,
     input::VideoInput,
     pool::Keyframe,
+    refine::RefinedKeyframe,
     tracker::{FieldSummary, FrameResult, Status},
     video::VideoRun,
 };
@@ -147,6 +149,12 @@ impl FrameReport {
     }
 }
 
+/// Row-major 4x4.
+fn rows(pose: &Isometry3<f64>) -> [[f64; 4]; 4] {
+    let m = pose.to_homogeneous();
+    std::array::from_fn(|r| std::array::from_fn(|c| m[(r, c)]))
+}
+
 /// One finished round of the field in `run.json`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct RoundReport {
@@ -208,7 +216,7 @@ fn rounded(value: f64) -> f64 {
     (value * 1e6).round() / 1e6
 }
 
-/// One keyframe of `keyframes.json`.
+/// One keyframe of `keyframes.json` or `keyframes_refined.json`.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct KeyframeReport {
     /// Number of the frame in the video.
@@ -223,12 +231,20 @@ pub struct KeyframeReport {
 
 impl KeyframeReport {
     pub(crate) fn of(keyframe: &Keyframe) -> Self {
-        let m = keyframe.obj_from_cam.inverse().to_homogeneous();
         Self {
             index: keyframe.index,
             id: keyframe.id.clone(),
-            cam_from_obj: std::array::from_fn(|r| std::array::from_fn(|c| m[(r, c)])),
+            cam_from_obj: rows(&keyframe.obj_from_cam.inverse()),
             refined_by_field: keyframe.refined_by_field,
+        }
+    }
+
+    pub(crate) fn refined(keyframe: &RefinedKeyframe) -> Self {
+        Self {
+            index: keyframe.index,
+            id: keyframe.id.clone(),
+            cam_from_obj: rows(&keyframe.obj_from_cam.inverse()),
+            refined_by_field: true,
         }
     }
 }

@@ -1,7 +1,9 @@
-//! Extraction from a full lattice, one slab of cells at a time.
+//! Extraction from a full lattice, one slab of cells at a time, on all cores.
 
 use crate::table::{CASES, EDGES};
 use crate::{TriMesh, mesh::usable_lattice};
+use rayon::prelude::*;
+use std::ops::Range;
 
 /// Mesh of the level set `value = iso` of a dense lattice.
 ///
@@ -11,6 +13,8 @@ use crate::{TriMesh, mesh::usable_lattice};
 /// is shared by all triangles around it. Cells with a NaN corner give no triangles and leave the mesh open there.
 /// Normals and colours are left empty. Vertices keep 1/1024 of the spacing away from lattice points, so that values
 /// equal to `iso` do not make triangles without area.
+///
+/// Runs on the current rayon pool; the mesh does not depend on the number of threads.
 ///
 /// The mesh is empty when an axis has fewer than two points, `values` does not have `dims` entries (at most 2^30),
 /// or `origin`, `spacing` (> 0) or `iso` is not usable.
@@ -24,7 +28,58 @@ pub fn extract_dense(dims: [usize; 3], values: &[f32], origin: [f32; 3], spacing
     if !usable_lattice(origin, spacing) {
         return TriMesh::default();
     }
-    Extraction::new(dims, values, origin, spacing, iso).run()
+    let slabs = dims[2] - 1;
+    let parts = (0..slabs.div_ceil(SLABS)).into_par_iter().map(|k| {
+        Extraction::new(dims, values, origin, spacing, iso).run(k * SLABS..slabs.min((k + 1) * SLABS))
+    });
+    join(parts.collect())
+}
+
+/// Slabs of cells in one task. Fixed, and parts are joined in order: the result is that of a single pass.
+const SLABS: usize = 16;
+
+/// The mesh of some slabs.
+struct Part {
+    mesh: TriMesh,
+    /// Number of vertices in the lowest layer; they come first.
+    lowest: usize,
+    /// Where the vertices of the highest layer start. They are the next part's lowest ones, in the same order.
+    highest: usize,
+    any_nan: bool,
+}
+
+/// Puts parts together; the vertices that two of them share are taken from the lower one.
+fn join(mut parts: Vec<Part>) -> TriMesh {
+    // Global number of a part's vertex: of one in the lowest layer, and of all others, as offsets.
+    let mut offsets: Vec<[i64; 2]> = Vec::with_capacity(parts.len());
+    let mut next = 0;
+    for (k, part) in parts.iter().enumerate() {
+        let shared = k.checked_sub(1).map(|below| parts[below].highest as i64 + offsets[below][1]);
+        let dropped = if shared.is_some() { part.lowest } else { 0 };
+        let own = next - dropped as i64;
+        offsets.push([shared.unwrap_or(own), own]);
+        next += (part.mesh.vertices.len() - dropped) as i64;
+    }
+    parts.par_iter_mut().zip(&offsets).skip(1).for_each(|(part, [lowest, others])| {
+        let shared = part.lowest as u32;
+        for i in part.mesh.triangles.iter_mut().flatten() {
+            *i = (i64::from(*i) + if *i < shared { lowest } else { others }) as u32;
+        }
+    });
+    let any_nan = parts.iter().any(|p| p.any_nan);
+    let triangles = parts.iter().map(|p| p.mesh.triangles.len()).sum::<usize>();
+    let mut parts = parts.into_iter();
+    let Some(Part { mut mesh, .. }) = parts.next() else { return TriMesh::default() };
+    mesh.vertices.reserve_exact(next as usize - mesh.vertices.len());
+    mesh.triangles.reserve_exact(triangles - mesh.triangles.len());
+    for part in parts {
+        mesh.vertices.extend_from_slice(&part.mesh.vertices[part.lowest..]);
+        mesh.triangles.extend_from_slice(&part.mesh.triangles);
+    }
+    if any_nan {
+        mesh.drop_unused_vertices();
+    }
+    mesh
 }
 
 /// [`extract_dense`] of a field given as a function of the position; it is called once a lattice point, x fastest.
@@ -96,23 +151,24 @@ impl<'a> Extraction<'a> {
         }
     }
 
-    fn run(mut self) -> TriMesh {
+    /// Extracts the cells between layers `z` and `z + 1` for each `z` of `slabs`.
+    fn run(mut self, slabs: Range<usize>) -> Part {
         let size = self.words * self.dims[1];
         let layer = || Layer { outside: vec![0; size], nan: vec![0; size] };
         let (mut below, mut above) = (layer(), layer());
-        self.classify(0, &mut below);
-        self.vertices_in_layer(0, &below);
-        for z in 0..self.dims[2] - 1 {
+        self.classify(slabs.start, &mut below);
+        self.vertices_in_layer(slabs.start, &below);
+        let lowest = self.mesh.vertices.len();
+        let mut highest = 0;
+        for z in slabs {
             self.classify(z + 1, &mut above);
+            highest = self.mesh.vertices.len();
             self.vertices_in_layer(z + 1, &above);
             self.vertices_between(z, &below, &above);
             self.triangles(z, &below, &above);
             std::mem::swap(&mut below, &mut above);
         }
-        if self.any_nan {
-            self.mesh.drop_unused_vertices();
-        }
-        self.mesh
+        Part { mesh: self.mesh, lowest, highest, any_nan: self.any_nan }
     }
 
     fn classify(&mut self, z: usize, layer: &mut Layer) {

@@ -1,8 +1,9 @@
-//! Extraction from the part of a lattice that some boxes cover.
+//! Extraction from the part of a lattice that some boxes cover, on all cores.
 
 use crate::dense::{crossing, for_ones};
 use crate::table::{CASES, EDGES};
 use crate::{TriMesh, mesh::usable_lattice};
+use rayon::prelude::*;
 use std::collections::HashMap;
 
 /// Lattice points of all cells that touch a set of boxes, kept in blocks of 8x8x8.
@@ -171,24 +172,37 @@ impl SparseGrid {
     /// Mesh of the level set `value = iso`, with the conventions of [`extract_dense`](crate::extract_dense).
     ///
     /// `values[i]` belongs to `points()[i]`; a missing value counts as NaN. Only cells whose eight corners are all
-    /// lattice points with a number give triangles: where the grid ends the mesh is open, and no wall is made up.
+    /// lattice points with a number give triangles: where the grid ends the mesh is open, and no wall is made up. Runs
+    /// on the current rayon pool; the mesh does not depend on the number of threads.
     #[must_use]
     pub fn extract(&self, values: &[f32], iso: f32) -> TriMesh {
         let mut mesh = TriMesh::default();
         if iso.is_nan() {
             return mesh;
         }
+        let slots = 0..self.blocks.len();
         // The edges that start at a block's points and are crossed, numbered as their vertices, for each axis.
-        let mut crossed: Vec<Option<Box<[Ranked; 3]>>> = Vec::with_capacity(self.blocks.len());
-        for slot in 0..self.blocks.len() {
-            let patch = self.patch(slot, values, iso);
-            crossed.push(patch.mixed.then(|| self.add_vertices(&patch, iso, &mut mesh)));
-        }
-        for (slot, edges) in crossed.iter().enumerate() {
-            if edges.is_some() {
-                add_triangles(&self.patch(slot, values, iso), &crossed, &mut mesh);
+        let mut crossed: Vec<Option<Box<Crossed>>> = slots
+            .clone()
+            .into_par_iter()
+            .map(|slot| {
+                let patch = self.patch(slot, values, iso);
+                patch.mixed.then(|| self.vertices(&patch, iso))
+            })
+            .collect();
+        for block in crossed.iter_mut().flatten() {
+            let first = mesh.vertices.len() as u32;
+            for before in block.edges.iter_mut().flat_map(|e| &mut e.before) {
+                *before += first;
             }
+            mesh.vertices.append(&mut block.vertices);
         }
+        let triangles: Vec<Vec<[u32; 3]>> = slots
+            .into_par_iter()
+            .filter(|slot| crossed[*slot].is_some())
+            .map(|slot| triangles(&self.patch(slot, values, iso), &crossed))
+            .collect();
+        mesh.triangles = triangles.concat();
         mesh.drop_unused_vertices();
         mesh
     }
@@ -219,11 +233,12 @@ impl SparseGrid {
         patch
     }
 
-    /// Makes the vertices on edges that start at the block's own points.
-    fn add_vertices(&self, patch: &Patch, iso: f32, mesh: &mut TriMesh) -> Box<[Ranked; 3]> {
-        let mut edges = Box::new([Ranked::default(), Ranked::default(), Ranked::default()]);
+    /// The vertices on edges that start at the block's own points, numbered from 0.
+    fn vertices(&self, patch: &Patch, iso: f32) -> Box<Crossed> {
+        let mut block = Box::<Crossed>::default();
+        let Crossed { edges, vertices } = &mut *block;
         for axis in 0..3 {
-            let first = mesh.vertices.len() as u32;
+            let first = vertices.len() as u32;
             for z in 0..8 {
                 let word = patch.crossed(axis, z);
                 edges[axis].words[z] = word;
@@ -233,18 +248,28 @@ impl SparseGrid {
                     to[axis] += 1;
                     let mut p = lattice(patch.coord, at);
                     p[axis] += crossing(patch.at(at), patch.at(to), iso);
-                    mesh.vertices.push(p.map(|c| (c * self.spacing) as f32));
+                    vertices.push(p.map(|c| (c * self.spacing) as f32));
                 });
             }
             edges[axis].number_from(first);
         }
-        edges
+        block
     }
 }
 
-/// Adds the triangles of the cells that start in a block.
-fn add_triangles(patch: &Patch, crossed: &[Option<Box<[Ranked; 3]>>], mesh: &mut TriMesh) {
-    let edges_of = patch.neighbours.map(|slot| crossed.get(slot? as usize)?.as_deref());
+/// What a block adds to the mesh's vertices.
+#[derive(Default)]
+struct Crossed {
+    /// Crossed edges along each axis, numbered as their vertices.
+    edges: [Ranked; 3],
+    /// Emptied when they go to the mesh.
+    vertices: Vec<[f32; 3]>,
+}
+
+/// The triangles of the cells that start in a block.
+fn triangles(patch: &Patch, crossed: &[Option<Box<Crossed>>]) -> Vec<[u32; 3]> {
+    let mut triangles = Vec::new();
+    let edges_of = patch.neighbours.map(|slot| Some(&crossed.get(slot? as usize)?.as_deref()?.edges));
     let cases = &*CASES;
     for z in 0..8 {
         for_ones(patch.mixed_cells(z), |b| {
@@ -260,11 +285,12 @@ fn add_triangles(patch: &Patch, crossed: &[Option<Box<[Ranked; 3]>>], mesh: &mut
             for t in cases[case].triangles() {
                 // Every edge that a case names is crossed between two numbers, so it has a vertex.
                 if let (Some(a), Some(b), Some(c)) = (vertex(t[0]), vertex(t[1]), vertex(t[2])) {
-                    mesh.triangles.push([a, b, c]);
+                    triangles.push([a, b, c]);
                 }
             }
         });
     }
+    triangles
 }
 
 /// A block's surroundings, as the cells that start in it see them.

@@ -148,6 +148,24 @@ fn sparse_sphere_from_voxels_is_closed_and_cheap() {
 }
 
 #[test]
+fn parts_join_without_a_trace() {
+    // Tall enough for several parts, with surface through every border between them.
+    let dims = [11, 9, 75];
+    let values = closed_field(dims, noise(5));
+    let with_threads = |n: usize| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(n).build().unwrap();
+        pool.install(|| {
+            (extract_dense(dims, &values, [0.0; 3], 1.0, 0.0), as_sparse(dims, &values, [0; 3], 1.0))
+        })
+    };
+    let ((dense, sparse), (again, sparse_again)) = (with_threads(1), with_threads(3));
+    assert!(dense.is_watertight() && vertices_are_manifold(&dense));
+    assert!(dense.triangles == again.triangles && dense.vertices == again.vertices);
+    assert!(sparse.triangles == sparse_again.triangles && sparse.vertices == sparse_again.vertices);
+    assert_eq!(soup(&dense), soup(&sparse));
+}
+
+#[test]
 fn sparse_limits() {
     let unit = ([0.0; 3], [1.0; 3]);
     let cover = |b, spacing, max| SparseGrid::covering(std::iter::once(b), spacing, max);

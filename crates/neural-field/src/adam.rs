@@ -1,5 +1,6 @@
 //! Adam (Kingma and Ba, 2015), dense for the small networks, per touched group of vertices for the grid.
 
+use crate::clock::{Clock, Stage};
 use crate::grid::{FEATURES, GROUP};
 use crate::simd;
 
@@ -43,6 +44,7 @@ pub(crate) struct LevelState {
     moments: Vec<[f32; 2]>,
     /// One bit per group of vertices that got a gradient in this step.
     pub(crate) touched: Vec<u64>,
+    pub(crate) clock: Clock,
 }
 
 impl LevelState {
@@ -51,12 +53,14 @@ impl LevelState {
             grad: vec![0.0; vertices * FEATURES],
             moments: vec![[0.0; 2]; vertices * FEATURES],
             touched: vec![0; vertices.div_ceil(GROUP).div_ceil(64)],
+            clock: Clock::default(),
         }
     }
 
     /// Updates the touched groups only: the rest of the lattice neither moves nor costs anything.
     pub(crate) fn step(&mut self, rate: Rate, table: &mut [f32]) {
         const N: usize = GROUP * FEATURES;
+        self.clock.lap(Stage::Scatter);
         for (i, word) in self.touched.iter_mut().enumerate() {
             let mut bits = std::mem::take(word);
             while bits != 0 {
@@ -69,5 +73,6 @@ impl LevelState {
                 bits = if skip + run >= 64 { 0 } else { bits >> (skip + run) << (skip + run) };
             }
         }
+        self.clock.lap(Stage::Adam);
     }
 }

@@ -36,6 +36,13 @@ pub(crate) fn color_pass<R: Real, const FMA: bool>(
             *v = bands[l % RAYS].0[k];
         }
     }
+    for k in 0..n.codes.size {
+        let code: [R; RAYS] = std::array::from_fn(|r| w[n.codes.of(tile.frame[r]).start + k]);
+        for (l, v) in s.color_in[(features + harmonics::COUNT + k) * lanes..][..lanes].iter_mut().enumerate()
+        {
+            *v = code[l % RAYS];
+        }
+    }
     color_forward::<R, FMA>(n, w, lanes, s);
     color_loss(tile, s, &mut out.losses[loss::COLOR]);
 
@@ -63,13 +70,19 @@ pub(crate) fn color_pass<R: Real, const FMA: bool>(
     );
 
     for r in 0..RAYS {
+        let total = |input: usize| {
+            let row = &s.d_color_in[(features + input) * lanes..][..lanes];
+            row.iter().skip(r).step_by(RAYS).fold(R::ZERO, |a, v| a + *v)
+        };
         let mut by_dir = [R::ZERO; 3];
         for k in 0..harmonics::COUNT {
-            let row = &s.d_color_in[(features + k) * lanes..][..lanes];
-            let total = row.iter().skip(r).step_by(RAYS).fold(R::ZERO, |a, v| a + *v);
+            let total = total(k);
             for a in 0..3 {
                 by_dir[a] += total * bands[r].1[k][a];
             }
+        }
+        for (k, g) in grad[n.codes.of(tile.frame[r])].iter_mut().enumerate() {
+            *g += total(harmonics::COUNT + k);
         }
         let torque = cross(dir[r], by_dir);
         for a in 0..3 {

@@ -1,4 +1,4 @@
-//! Training parameters and the three sets of them worth naming.
+//! Training parameters and the sets of them worth naming.
 
 use crate::error::FieldError;
 
@@ -57,6 +57,9 @@ pub struct FieldConfig {
     pub hidden: usize,
     /// Geometry features given to the colour network.
     pub geometry_features: usize,
+    /// Numbers in each frame's appearance code, which lets the colour network follow light and exposure from frame to
+    /// frame; queries use the mean of all frames. 0 is none.
+    pub appearance: usize,
     /// Loss weights.
     pub weights: LossWeights,
     /// Distance to which uncertain free space is lifted, truncation units.
@@ -81,6 +84,9 @@ pub struct FieldConfig {
     pub max_rotation_deg: f64,
     /// Weight of the first frame's rays, against 1 for every other frame.
     pub first_frame_weight: f64,
+    /// A frame whose points lie further from the surface than this many times the frames' median loses weight, until
+    /// its pose fits again; 0 trusts all frames alike.
+    pub outlier_ratio: f64,
     /// Width of the ring around the mask, as a share of the mask's larger side.
     pub ring_width: f64,
     /// Multiply the distance along the ray by the cosine of incidence where depth gives a normal, and weight the
@@ -102,7 +108,8 @@ impl Default for FieldConfig {
 }
 
 impl FieldConfig {
-    /// The paper's numbers (section 3.4 and its supplement), with loss weights translated to truncation units.
+    /// The paper's counts, lattices and schedule (section 3.4 and its supplement). The loss weights are those of
+    /// [`realtime`](Self::realtime): the paper's belong to losses in other units and of another normalisation.
     pub fn paper() -> Self {
         Self {
             steps: 300,
@@ -127,7 +134,7 @@ impl FieldConfig {
         }
     }
 
-    /// The released online configuration: 500 steps, a band of one truncation distance on both sides, no eikonal
+    /// After the released online configuration: 500 steps, a band of one truncation distance on both sides, no eikonal
     /// term, a privileged first frame.
     pub fn release() -> Self {
         Self {
@@ -160,6 +167,7 @@ impl FieldConfig {
             log2_table_size: 22,
             hidden: 64,
             geometry_features: 15,
+            appearance: 0,
             weights: LossWeights { uncertain: 5.0, empty: 1.0, surface: 10.0, color: 20.0, eikonal: 0.1 },
             epsilon: 0.2,
             color_sharpness: 5.0,
@@ -172,12 +180,22 @@ impl FieldConfig {
             max_translation: 0.02,
             max_rotation_deg: 20.0,
             first_frame_weight: 4.0,
+            outlier_ratio: 0.0,
             ring_width: 0.15,
             incidence_correction: true,
             background_depth: true,
             rays_per_frame: 8192,
             seed: 0,
         }
+    }
+
+    /// The last round over all keyframes, after the video has ended: [`realtime`](Self::realtime) with more steps, and
+    /// frames that don't fit lose weight.
+    ///
+    /// More and finer lattices (16 up to 256 cells, hashed beyond 2^17 vertices: `levels`, `finest_resolution`,
+    /// `log2_table_size`) follow the noise of the depth.
+    pub fn refine() -> Self {
+        Self { steps: 1500, outlier_ratio: 3.0, ..Self::realtime() }
     }
 
     pub(crate) fn validate(&self) -> Result<(), FieldError> {
@@ -198,6 +216,7 @@ impl FieldConfig {
             ("max_translation", self.max_translation),
             ("max_rotation_deg", self.max_rotation_deg),
             ("first_frame_weight", self.first_frame_weight),
+            ("outlier_ratio", self.outlier_ratio),
             ("ring_width", self.ring_width),
             ("weights.uncertain", self.weights.uncertain),
             ("weights.empty", self.weights.empty),
@@ -227,6 +246,7 @@ impl FieldConfig {
             ("log2_table_size", self.log2_table_size as usize, 8, 24),
             ("hidden", self.hidden, 8, 256),
             ("geometry_features", self.geometry_features, 1, 64),
+            ("appearance", self.appearance, 0, 32),
             ("rays_per_frame", self.rays_per_frame, 1, 1 << 24),
         ];
         for (key, value, low, high) in ranges {

@@ -7,6 +7,7 @@ use crate::field::TrainedField;
 use crate::frame::FieldImages;
 use crate::round::{Engine, Round};
 use crate::train::{Control, StepLosses};
+use crate::trust;
 use nalgebra::Isometry3;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
@@ -59,6 +60,11 @@ impl Engine for CpuRound {
         for step in self.losses.len()..self.losses.len() + steps {
             if control.stop.is_some_and(|s| s.load(Ordering::Relaxed)) {
                 return Err(FieldError::Stopped);
+            }
+            if trust::is_due(&self.round.config, step) {
+                let residuals = self.engine.residuals(&self.round.sampler, &self.round.corrections);
+                let trust = trust::weights(&residuals, self.round.config.outlier_ratio);
+                self.round.sampler.set_trust(&trust);
             }
             let rates = self.round.rates(step);
             let losses = self.engine.step(&self.round.sampler, &mut self.round.corrections, step, rates);

@@ -5,6 +5,7 @@
 //! itself, one task per lattice, so that no two threads write the same vertex and no sum depends on timing.
 
 use crate::adam::{LevelState, Rate};
+use crate::clock::Stage;
 use crate::config::FieldConfig;
 use crate::field::Parameters;
 use crate::grid::{FEATURES, Grid};
@@ -19,14 +20,20 @@ use rayon::prelude::*;
 /// Number of chunks; fixed, so that the order of additions does not depend on the number of threads.
 const CHUNKS: usize = 16;
 
+/// Points per frame that are asked how well the frame fits.
+const RESIDUAL_POINTS: usize = 256;
+/// Points evaluated together.
+const LANES: usize = 64;
+
 /// Amplitude of the grid's initial features.
 const GRID_AMPLITUDE: f64 = 1e-4;
 
-/// Where every engine starts.
-pub(crate) fn initial_parameters(config: &FieldConfig) -> Parameters {
+/// Where every engine starts, with this many frames.
+pub(crate) fn initial_parameters(config: &FieldConfig, frames: usize) -> Parameters {
     let resolutions = (config.base_resolution, config.finest_resolution);
     let grid = Grid::new(config.levels, resolutions, config.log2_table_size, GRID_AMPLITUDE, config.seed);
-    let networks = Networks::new(grid.width(), config.hidden, config.geometry_features);
+    let networks =
+        Networks::new(grid.width(), config.hidden, config.geometry_features, (config.appearance, frames));
     Parameters { weights: networks.init(config.seed), grid, networks }
 }
 
@@ -57,7 +64,7 @@ pub(crate) struct CpuEngine {
 
 impl CpuEngine {
     pub(crate) fn new(config: &FieldConfig, sampler: &Sampler) -> Self {
-        let Parameters { grid, networks, weights } = initial_parameters(config);
+        let Parameters { grid, networks, weights } = initial_parameters(config, sampler.rays().len());
         let n = sampler.counts;
         let (lanes, central) = (n.surface_lanes(), n.central_lanes());
         let share = |tiles: usize, c: usize| c * tiles / CHUNKS..(c + 1) * tiles / CHUNKS;
@@ -134,6 +141,7 @@ impl CpuEngine {
         // Finest lattice first: it takes longest.
         self.grid.tables.par_iter_mut().zip(&mut self.levels).enumerate().rev().for_each(
             |(l, (table, state))| {
+                state.clock.start();
                 for tile in chunks.iter().flat_map(|c| &c.gradients) {
                     scatter_tile(&layout[l], l, tile, state);
                 }
@@ -141,6 +149,54 @@ impl CpuEngine {
             },
         );
         losses
+    }
+
+    pub(crate) fn model(&self) -> Model<'_, f32> {
+        Model {
+            grid: &self.grid,
+            networks: &self.networks,
+            weights: &self.weights,
+            truncation: self.truncation,
+        }
+    }
+
+    /// Per frame, how far its points are from the present surface (truncation units): the 70th percentile, so that a
+    /// frame whose wrong pose is contradicted by others over part of its surface shows too. NaN without points.
+    pub(crate) fn residuals(&self, sampler: &Sampler, poses: &PoseCorrections) -> Vec<f32> {
+        let model = self.model();
+        let inverse = 1.0 / sampler.volume().edge as f32;
+        let ray_poses = poses.ray_poses::<f32>();
+        sampler
+            .rays()
+            .par_iter()
+            .zip(&ray_poses)
+            .map(|(rays, pose)| {
+                let rays = &rays.surface;
+                let take = rays.dir.len().min(RESIDUAL_POINTS);
+                let mut scratch = Scratch::new(LANES, LANES, &self.networks);
+                let mut pos = vec![0.5; 3 * LANES];
+                let mut errors = Vec::with_capacity(take);
+                for start in (0..take).step_by(LANES) {
+                    let count = (take - start).min(LANES);
+                    for l in 0..count {
+                        let i = (start + l) * rays.dir.len() / take;
+                        let (d, t) = (rays.dir[i], rays.distance[i] * inverse);
+                        for a in 0..3 {
+                            let row = pose.rotation[a];
+                            let along = row[0] * d[0] + row[1] * d[1] + row[2] * d[2];
+                            pos[a * LANES + l] = (0.5 + pose.translation[a] + t * along).clamp(0.0, 1.0);
+                        }
+                    }
+                    simd::query(&model, LANES, &pos, &mut scratch, false);
+                    errors.extend(scratch.distances()[..count].iter().map(|s| s.abs()));
+                }
+                if errors.is_empty() {
+                    return f32::NAN;
+                }
+                let rank = errors.len() * 7 / 10;
+                *errors.select_nth_unstable_by(rank, f32::total_cmp).1
+            })
+            .collect()
     }
 
     fn update_poses(&self, poses: &mut PoseCorrections, rate: f64, iteration: usize) -> [f64; loss::COUNT] {
@@ -161,17 +217,33 @@ impl CpuEngine {
     }
 }
 
+#[cfg(feature = "bench")]
+impl CpuEngine {
+    /// Seconds of all workers by stage, so far.
+    pub(crate) fn seconds(&self) -> [f64; crate::clock::STAGES] {
+        let clocks = self.chunks.iter().map(|c| &c.scratch.clock).chain(self.levels.iter().map(|l| &l.clock));
+        clocks.fold(Default::default(), |sum: [f64; crate::clock::STAGES], clock| {
+            let seconds = clock.seconds();
+            std::array::from_fn(|s| sum[s] + seconds[s])
+        })
+    }
+}
+
 impl Chunk {
     fn run(&mut self, model: &Model<'_, f32>, sampler: &Sampler, poses: &[RayPose<f32>], step: usize) {
         let mut outs = self.gradients.iter_mut();
         for index in self.surface.clone() {
             let Some(out) = outs.next() else { return };
+            self.scratch.clock.start();
             sampler.fill_surface((step, index), poses, &mut self.surface_tile, &mut self.buffers);
+            self.scratch.clock.lap(Stage::Sample);
             simd::run_tile(model, poses, &self.surface_tile, &mut self.scratch, out, &mut self.weights);
         }
         for index in self.ring.clone() {
             let Some(out) = outs.next() else { return };
+            self.scratch.clock.start();
             sampler.fill_ring((step, index), poses, &mut self.ring_tile, &mut self.buffers);
+            self.scratch.clock.lap(Stage::Sample);
             simd::run_tile(model, poses, &self.ring_tile, &mut self.scratch, out, &mut self.weights);
         }
     }

@@ -13,6 +13,7 @@ use crate::volume::occupancy;
 use nalgebra::{Isometry3, Point3, Vector3};
 use octree_sampler::VoxelOctree;
 use rayon::prelude::*;
+use std::collections::HashMap;
 use std::sync::Arc;
 
 /// Points evaluated together.
@@ -21,6 +22,8 @@ const BLOCK: usize = 64;
 const TASK: usize = 8192;
 /// Depth points per frame that enter its residual.
 const RESIDUAL_POINTS: usize = 512;
+/// With this many frames a point of the surface is seen by more than one.
+const MANY_FRAMES: usize = 20;
 /// Points per frame that support the mesh.
 const SUPPORT_POINTS: usize = 40_000;
 
@@ -48,6 +51,9 @@ pub struct TrainedField {
     field_from_obj: Isometry3<f64>,
     octree: VoxelOctree,
     support: VoxelOctree,
+    /// How far behind a measured point the sign of the distance is known, metres.
+    reach: f64,
+    frames: Vec<Arc<FieldImages>>,
     poses: Vec<Isometry3<f64>>,
     residuals: Vec<f32>,
     losses: Vec<StepLosses>,
@@ -62,13 +68,17 @@ impl TrainedField {
         let octree =
             occupancy(frames, &poses, volume.octree.voxel_size()).unwrap_or_else(|| volume.octree.clone());
         let support = support(config, &octree, frames, &poses);
+        let mut weights = parameters.weights;
+        parameters.networks.codes.settle(&mut weights);
         let mut field = Self {
             grid: parameters.grid,
             networks: parameters.networks,
-            weights: parameters.weights,
+            weights,
             truncation: config.truncation,
             residuals: Vec::new(),
             losses,
+            reach: reach(config),
+            frames: frames.clone(),
             support: support.unwrap_or_else(|| octree.clone()),
             center: volume.center,
             edge: volume.edge,
@@ -115,6 +125,15 @@ impl TrainedField {
 
     pub(crate) fn support(&self) -> &VoxelOctree {
         &self.support
+    }
+
+    pub(crate) fn reach(&self) -> f64 {
+        self.reach
+    }
+
+    /// What it was trained on, as many as there are poses.
+    pub(crate) fn frames(&self) -> &[Arc<FieldImages>] {
+        &self.frames
     }
 
     fn model(&self) -> Model<'_, f32> {
@@ -273,19 +292,37 @@ impl TrainedField {
     }
 }
 
-/// Space within reach of a measured point: there the sign of the distance was observed. Deeper inside the object it
-/// is anybody's guess, and a mesh would get inner walls.
+fn reach(config: &FieldConfig) -> f64 {
+    config.behind.clamp(0.2, 1.0) * config.truncation
+}
+
+/// Space within reach of a measured point: there the sign of the distance was observed. Deeper inside the object than
+/// samples reach it is anybody's guess, and a mesh would get inner walls. A point that only one of many frames has
+/// seen does not count: it may be a pixel between object and background.
 fn support(
     config: &FieldConfig,
     octree: &VoxelOctree,
     frames: &[Arc<FieldImages>],
     poses: &[Isometry3<f64>],
 ) -> Option<VoxelOctree> {
+    // From one to two voxels around a point are within reach.
+    let reach = reach(config) as f32;
+    let voxel = (0.4 * reach).min(0.5 * octree.voxel_size());
+    let key = |p: &[f32; 3]| p.map(|v| (v / (2.0 * voxel)).floor() as i32);
     let mut cloud = Vec::new();
-    for (frame, pose) in frames.iter().zip(poses) {
+    // By cell: the last frame that had a point in it, and the number of frames.
+    let mut seen: HashMap<[i32; 3], (usize, usize)> = HashMap::new();
+    for (f, (frame, pose)) in frames.iter().zip(poses).enumerate() {
+        let from = cloud.len();
         frame.points(pose, SUPPORT_POINTS, &mut cloud);
+        for p in &cloud[from..] {
+            let cell = seen.entry(key(p)).or_insert((usize::MAX, 0));
+            if cell.0 != f {
+                *cell = (f, cell.1 + 1);
+            }
+        }
     }
-    cloud.retain(|p| octree.contains(*p));
-    let voxel = (0.5 * config.truncation as f32).min(0.5 * octree.voxel_size());
+    let enough = if frames.len() >= MANY_FRAMES { 2 } else { 1 };
+    cloud.retain(|p| octree.contains(*p) && seen.get(&key(p)).is_some_and(|cell| cell.1 >= enough));
     VoxelOctree::from_points(&cloud, voxel, 1)
 }

@@ -35,7 +35,7 @@ fn between(seed: &mut u64, lo: f64, hi: f64) -> f64 {
 fn problem(only: Option<usize>, log2_table: u32) -> Problem {
     let mut s = 10_000;
     let grid = Grid::new(2, (5, 11), log2_table, 0.5, 1);
-    let networks = Networks::new(grid.width(), 16, 7);
+    let networks = Networks::new(grid.width(), 16, 7, (3, FRAMES));
     let mut weights: Vec<f64> = networks.init(5);
     for w in &mut weights {
         *w += between(&mut s, -0.1, 0.1);
@@ -149,6 +149,12 @@ impl Problem {
                 );
             }
         }
+        families.push(
+            (0..FRAMES)
+                .flat_map(|f| self.networks.codes.of(f))
+                .map(|i| (exact.weights[i], self.difference(|p, h| p.weights[i] += h)))
+                .collect(),
+        );
         families.push(
             (0..FRAMES)
                 .flat_map(|f| (0..6).map(move |a| (f, a)))

@@ -264,6 +264,26 @@ mod tests {
     }
 
     #[test]
+    fn lattices_beyond_the_table_are_hashed_evenly() {
+        let grid = Grid::<f32>::new(16, (16, 256), 17, 1e-4, 0);
+        let table = 1usize << 17;
+        let hashed: Vec<&Level> = grid.levels.iter().filter(|l| l.hash_mask.is_some()).collect();
+        assert!(grid.levels.len() == 16 && hashed.len() >= 5 && hashed.len() < 16);
+        for level in hashed {
+            assert!(level.len == table && (level.vertices as usize).pow(3) > table);
+            // Vertices of one layer of cells: as many as there are of them, up to the collisions of a random hash.
+            let mut used = std::collections::HashSet::new();
+            let n = level.vertices as usize - 1;
+            for i in 0..n * n {
+                let p = [i % n, i / n, n / 2].map(|c| (c as f64 + 0.01 - 0.5) / level.scale);
+                used.insert(level.corners(p).rows[0][0]);
+            }
+            let expected = table as f64 * (1.0 - (-((n * n) as f64) / table as f64).exp());
+            assert!(used.len() as f64 > 0.9 * expected, "{} of {expected}", used.len());
+        }
+    }
+
+    #[test]
     fn slopes_and_mixed_derivatives_match_differences() {
         for log2_table in [20, 8] {
             let grid = Grid::<f64>::new(2, (5, 9), log2_table, 1.0, 3);

@@ -47,6 +47,10 @@
 extern crate self as neural_field;
 
 mod adam;
+#[cfg(feature = "bench")]
+pub mod bench;
+mod clock;
+mod closing;
 mod color;
 mod config;
 mod cpu;
@@ -73,9 +77,11 @@ mod rays;
 mod real;
 mod round;
 mod sampler;
+mod sight;
 mod simd;
 mod tile;
 mod train;
+mod trust;
 mod volume;
 
 pub use config::{FieldConfig, LossWeights};

@@ -10,8 +10,9 @@ impl TrainedField {
     /// The zero level set where it was observed, with normals (along the distance's gradient) and colours (seen
     /// along the inward normal), in the object frame, metres.
     ///
-    /// Only space within about a truncation distance of measured points is searched: no walls appear at the border
-    /// of the occupied space or deep inside the object, and parts never seen stay open. `spacing` is the edge of a
+    /// Only space within about a truncation distance of measured points is searched, and only what a frame has looked at
+    /// from outside is kept: no walls appear at the border of the occupied space or inside the object, and parts never
+    /// seen stay open. `spacing` is the edge of a
     /// cell in metres; the mesh is empty if it is not positive and finite.
     pub fn extract_mesh(&self, spacing: f32) -> TriMesh {
         let size = self.support().voxel_size();
@@ -22,10 +23,11 @@ impl TrainedField {
         self.sdf(&points, &mut values);
         let mut mesh = grid.extract(&values, 0.0);
         self.paint(&mut mesh);
+        self.drop_unseen(&mut mesh);
         mesh
     }
 
-    fn paint(&self, mesh: &mut TriMesh) {
+    pub(crate) fn paint(&self, mesh: &mut TriMesh) {
         let n = mesh.vertices.len();
         let (mut sdf, mut normals) = (vec![0.0; n], vec![[0.0f32; 3]; n]);
         self.sdf_and_gradient(&mesh.vertices, &mut sdf, &mut normals);

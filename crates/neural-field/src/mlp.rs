@@ -24,19 +24,50 @@ impl Layer {
     }
 }
 
-/// Geometry: encoding -> hidden ReLU -> `[sdf | features]`. Colour: `[features | harmonics]` -> hidden ReLU ->
-/// hidden ReLU -> 3, then a sigmoid. Input widths are padded to multiples of 8 with inputs that stay zero.
+/// One code per frame, input of the colour network: what light and exposure made of that frame. A last code stands
+/// for no frame in particular.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Codes {
+    /// Numbers in a code; 0 switches codes off.
+    pub(crate) size: usize,
+    frames: usize,
+    start: usize,
+}
+
+impl Codes {
+    pub(crate) fn of(&self, frame: usize) -> Range<usize> {
+        let from = self.start + frame * self.size;
+        from..from + self.size
+    }
+
+    pub(crate) fn neutral(&self) -> Range<usize> {
+        self.of(self.frames)
+    }
+
+    /// Sets the neutral code to the mean of the frames'.
+    pub(crate) fn settle(&self, weights: &mut [f32]) {
+        for k in 0..self.size {
+            let sum: f32 = (0..self.frames).map(|f| weights[self.of(f).start + k]).sum();
+            weights[self.neutral().start + k] = sum / self.frames.max(1) as f32;
+        }
+    }
+}
+
+/// Geometry: encoding -> hidden ReLU -> `[sdf | features]`. Colour: `[features | harmonics | code]` -> hidden
+/// ReLU -> hidden ReLU -> 3, then a sigmoid. Input widths are padded to multiples of 8 with inputs that stay zero.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Networks {
     /// Geometry features that the colour network sees.
     pub(crate) features: usize,
     pub(crate) geometry: [Layer; 2],
     pub(crate) color: [Layer; 3],
+    pub(crate) codes: Codes,
     pub(crate) len: usize,
 }
 
 impl Networks {
-    pub(crate) fn new(encoding: usize, hidden: usize, features: usize) -> Self {
+    /// `codes`: numbers in a frame's appearance code, and the number of frames.
+    pub(crate) fn new(encoding: usize, hidden: usize, features: usize, codes: (usize, usize)) -> Self {
         let mut len = 0;
         let mut layer = |inputs: usize, outputs: usize| {
             let layer = Layer { inputs, outputs, start: len };
@@ -44,9 +75,11 @@ impl Networks {
             layer
         };
         let geometry = [layer(encoding.next_multiple_of(8), hidden), layer(hidden, 1 + features)];
-        let colour_in = (features + harmonics::COUNT).next_multiple_of(8);
+        let colour_in = (features + harmonics::COUNT + codes.0).next_multiple_of(8);
         let color = [layer(colour_in, hidden), layer(hidden, hidden), layer(hidden, 3)];
-        Self { features, geometry, color, len }
+        let codes = Codes { size: codes.0, frames: codes.1, start: len };
+        len += codes.size * (codes.frames + 1);
+        Self { features, geometry, color, codes, len }
     }
 
     pub(crate) fn encoding(&self) -> usize {
@@ -59,7 +92,7 @@ impl Networks {
 
     /// Uniform weights that keep the variance through ReLUs (He et al. 2015; with the smaller customary bound the
     /// colour's gradient is so faint beside the distance's that the colour never leaves its mean), zero biases, and
-    /// +0.1 for the last geometry biases: an untrained point is outside.
+    /// +0.1 for the last geometry biases: an untrained point is outside. Codes start at zero.
     pub(crate) fn init<R: Real>(&self, seed: u64) -> Vec<R> {
         let mut weights = vec![R::ZERO; self.len];
         for layer in self.geometry.iter().chain(&self.color) {

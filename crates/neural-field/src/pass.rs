@@ -2,6 +2,7 @@
 //!
 //! Generic over the scalar: `f32` trains, `f64` checks these very gradients.
 
+use crate::clock::Stage;
 use crate::color::color_pass;
 use crate::eikonal::eikonal_pass;
 use crate::gemm::{dot, gemm_add, sum, transpose};
@@ -28,14 +29,19 @@ pub(crate) fn run_tile<R: Real, const FMA: bool>(
     geometry_forward::<R, FMA>(model, tile.lanes, &out.pos, scratch);
     sdf_losses(tile, scratch, &mut out.losses);
     if tile.has_color {
+        scratch.clock.lap(Stage::Geometry);
         color_pass::<R, FMA>(model, tile, &dir, scratch, out, grad);
+        scratch.clock.lap(Stage::Color);
     }
     geometry_backward::<R, FMA>(model, tile, scratch, out, grad);
     position_gradient(tile.lanes, model.grid.width(), scratch, &out.enc);
     if tile.has_eikonal {
+        scratch.clock.lap(Stage::Backward);
         eikonal_pass::<R, FMA>(model, tile, scratch, out, grad);
+        scratch.clock.lap(Stage::Eikonal);
     }
     pose_gradient(tile, scratch, out);
+    scratch.clock.lap(Stage::Backward);
 }
 
 /// Ray origins and directions about the volume's centre, in edges.
@@ -72,9 +78,11 @@ pub(crate) fn geometry_forward<R: Real, const FMA: bool>(
     s: &mut Scratch<R>,
 ) {
     let n = model.networks;
+    s.clock.start();
     model.grid.encode(pos, lanes, &mut s.enc, &mut s.jac);
     // The padding must be zero, and a tile of another size may have left something there.
     s.enc[model.grid.width() * lanes..n.encoding() * lanes].fill(R::ZERO);
+    s.clock.lap(Stage::Encode);
     layer_forward::<R, FMA>(&n.geometry[0], model.weights, (&s.enc, lanes), (&mut s.hidden, lanes), true);
     let [_, last] = n.geometry;
     s.sdf[..lanes].fill(model.weights[last.bias().start]);

@@ -2,7 +2,7 @@
 
 use crate::color::color_forward;
 use crate::gemm::gemm_add;
-use crate::harmonics::harmonics;
+use crate::harmonics::{self, harmonics};
 use crate::pass::{geometry_forward, position_gradient};
 use crate::real::Real;
 use crate::tile::{Model, Scratch};
@@ -63,6 +63,9 @@ pub(crate) fn query_color<R: Real, const FMA: bool>(
         for (k, v) in harmonics(*d).0.into_iter().enumerate() {
             s.color_in[(n.features + k) * lanes + l] = v;
         }
+    }
+    for (k, code) in w[n.codes.neutral()].iter().enumerate() {
+        s.color_in[(n.features + harmonics::COUNT + k) * lanes..][..lanes].fill(*code);
     }
     color_forward::<R, FMA>(n, w, lanes, s);
 }

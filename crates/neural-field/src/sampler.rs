@@ -58,6 +58,8 @@ pub(crate) struct Sampler {
     /// Frames that have rays of a kind.
     pub(crate) surface_frames: Vec<usize>,
     pub(crate) ring_frames: Vec<usize>,
+    /// Factor on the losses of each frame's rays.
+    weights: Vec<f32>,
 }
 
 /// Buffers of one worker.
@@ -92,8 +94,13 @@ impl Sampler {
         if ring_frames.is_empty() {
             counts.ring_tiles = 0;
         }
+        let mut weights = vec![1.0; rays.len()];
+        if let Some(first) = weights.first_mut() {
+            *first = config.first_frame_weight as f32;
+        }
         (!surface_frames.is_empty()).then(|| Self {
             config: config.clone(),
+            weights,
             counts,
             volume,
             rays,
@@ -123,8 +130,11 @@ impl Sampler {
         }
     }
 
-    fn frame_weight(&self, frame: usize) -> f32 {
-        if frame == 0 { self.config.first_frame_weight as f32 } else { 1.0 }
+    /// Multiplies the configured weight of each frame's rays by its trust.
+    pub(crate) fn set_trust(&mut self, trust: &[f32]) {
+        for (f, (weight, trust)) in self.weights.iter_mut().zip(trust).enumerate() {
+            *weight = trust * if f == 0 { self.config.first_frame_weight as f32 } else { 1.0 };
+        }
     }
 
     /// Rays with depth: free samples first, then the outer band, then the central band.
@@ -155,7 +165,7 @@ impl Sampler {
             let mut draws = self.draws(Purpose::Surface, step, index * RAYS + r);
             let i = draws.pick(source.dir.len());
             let (d, cosine) = (source.distance[i], source.cosine[i]);
-            let weight = self.frame_weight(frame);
+            let weight = self.weights[frame];
             tile.frame[r] = frame;
             tile.dir[r] = source.dir[i];
             tile.color[r] = source.color[i];
@@ -230,7 +240,7 @@ impl Sampler {
             let source = &self.rays[frame].ring;
             let mut draws = self.draws(Purpose::Ring, step, index * RAYS + r);
             let i = draws.pick(source.dir.len());
-            let weight = self.frame_weight(frame) / samples;
+            let weight = self.weights[frame] / samples;
             tile.frame[r] = frame;
             tile.dir[r] = source.dir[i];
             let ray = self.ray(&poses[frame], source.dir[i]);

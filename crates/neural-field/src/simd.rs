@@ -56,6 +56,25 @@ dispatch!(
     (rate: crate::adam::Rate, value: &mut [f32], grad: &mut [f32], moments: &mut [[f32; 2]])
 );
 
+#[cfg(feature = "bench")]
+dispatch!(
+    /// [`crate::bench::multiply_add`].
+    multiply_add => crate::bench::multiply_add::<true>,
+    (sums: &mut [[f32; 8]; 12], rounds: usize)
+);
+#[cfg(feature = "bench")]
+dispatch!(
+    /// [`crate::grid::Grid::encode`] in `f32`.
+    encode => crate::bench::encode,
+    (grid: &crate::grid::Grid<f32>, lanes: usize, pos: &[f32], scratch: &mut Scratch<f32>)
+);
+#[cfg(feature = "bench")]
+dispatch!(
+    /// [`crate::pass::layer_forward`] of the first geometry layer in `f32`.
+    layer => crate::bench::layer::<true>,
+    (model: &Model<'_, f32>, lanes: usize, scratch: &mut Scratch<f32>)
+);
+
 /// The portable versions.
 mod narrow {
     use super::*;
@@ -83,6 +102,21 @@ mod narrow {
 
     pub(super) fn query_color(model: &Model<'_, f32>, lanes: usize, dirs: &[[f32; 3]], s: &mut Scratch<f32>) {
         evaluate::query_color::<f32, BASELINE_FMA>(model, lanes, dirs, s);
+    }
+
+    #[cfg(feature = "bench")]
+    pub(super) fn multiply_add(sums: &mut [[f32; 8]; 12], rounds: usize) {
+        crate::bench::multiply_add::<BASELINE_FMA>(sums, rounds);
+    }
+
+    #[cfg(feature = "bench")]
+    pub(super) fn encode(grid: &crate::grid::Grid<f32>, lanes: usize, pos: &[f32], s: &mut Scratch<f32>) {
+        crate::bench::encode(grid, lanes, pos, s);
+    }
+
+    #[cfg(feature = "bench")]
+    pub(super) fn layer(model: &Model<'_, f32>, lanes: usize, s: &mut Scratch<f32>) {
+        crate::bench::layer::<BASELINE_FMA>(model, lanes, s);
     }
 
     pub(super) fn adam(

@@ -4,6 +4,7 @@
 //! last `central` lanes are the samples around the measured depth: only they run the colour network and the
 //! eikonal term.
 
+use crate::clock::Clock;
 use crate::grid::Grid;
 use crate::mlp::Networks;
 use crate::real::Real;
@@ -144,6 +145,7 @@ pub(crate) struct Scratch<R> {
     pub(crate) masked: Vec<R>,
     pub(crate) q: Vec<R>,
     pub(crate) d_pos: Vec<R>,
+    pub(crate) clock: Clock,
 }
 
 impl<R: Real> Scratch<R> {
@@ -169,6 +171,7 @@ impl<R: Real> Scratch<R> {
             masked: zeros(h * central),
             q: zeros(e * central),
             d_pos: zeros(3 * lanes),
+            clock: Clock::default(),
         }
     }
 }

@@ -73,6 +73,89 @@ fn a_wrong_frame_shows_in_its_residual() {
 }
 
 #[test]
+fn one_bad_keyframe_does_not_spoil_the_others() {
+    let (frames, truth) = noisy_views(&BOX, 12, 80, 0.0005);
+    let mut start = perturb(&truth, 0.003, 0.02);
+    start[5] = Translation3::new(0.03, -0.02, 0.034) * truth[5];
+    let field =
+        run(&FieldConfig { steps: 200, surface_rays: 256, outlier_ratio: 3.0, ..small() }, &frames, &start);
+    let shift = |f: usize| (field.poses()[f] * truth[f].inverse() * nalgebra::Point3::origin()).coords.norm();
+    let others = (0..12).filter(|f| *f != 5).map(shift).fold(0.0, f64::max);
+    let error = median(&sdf_errors(&field, &BOX, 0.001, 2000));
+    println!("largest shift of the others {:.2} mm, surface {:.2} mm", 1e3 * others, 1e3 * error);
+    assert!(others < 2e-3 && error < 1e-3);
+}
+
+#[test]
+fn the_volume_grows_with_what_the_frames_show() {
+    let (frames, poses) = views(&BOX, 12, 60);
+    let config = FieldConfig { steps: 2, ..small() };
+    let few = run(&config, &frames[..2], &poses[..2]);
+    let all = run(&config, &frames, &poses);
+    // Points on the whole surface: the first round does not know all of them, the second does.
+    let unknown = |field: &TrainedField| 2000 - sdf_errors(field, &BOX, 0.0005, 2000).len();
+    assert!(unknown(&few) > 300);
+    assert_eq!(unknown(&all), 0);
+}
+
+#[test]
+fn what_was_not_seen_stays_open_and_is_bridged_on_request() {
+    let (frames, poses) = views(&SPHERE, 16, 80);
+    // Cameras of the upper half only: the sphere's bottom is never seen.
+    let upper: Vec<usize> = (0..16).filter(|&f| poses[f].translation.z > 0.1).collect();
+    let frames: Vec<_> = upper.iter().map(|&f| frames[f].clone()).collect();
+    let poses: Vec<_> = upper.iter().map(|&f| poses[f]).collect();
+    let config = FieldConfig { pose_learning_rate: 0.0, surface_rays: 256, steps: 250, ..small() };
+    let field = run(&config, &frames, &poses);
+    let open = field.extract_mesh(0.004).largest_component();
+    assert!(!open.is_watertight());
+    let off = |mesh: &marching_cubes::TriMesh, above: f32| {
+        let seen = mesh.vertices.iter().filter(|v| v[2] > above);
+        seen.map(|v| SPHERE.sdf(v.map(f64::from)).abs()).fold(0.0, f64::max)
+    };
+    println!("open mesh: {:.2} mm off at most", 1e3 * off(&open, -1.0));
+    // No wall where the observed space ends.
+    assert!(off(&open, -1.0) < 6e-3);
+    let closed = field.extract_closed_mesh(0.004);
+    assert!(closed.is_watertight() && closed.has_colors() && closed.has_normals());
+    assert_eq!(closed.components().len(), 1);
+    assert!(off(&closed, 0.0) < 2e-3, "what was seen is the same");
+    let volume = 4.0 / 3.0 * std::f64::consts::PI * 1e-3;
+    assert!((0.5..1.1).contains(&(closed.signed_volume() / volume)));
+    assert!(field.extract_closed_mesh(f32::NAN).vertices.is_empty());
+}
+
+#[test]
+fn noisy_depth_makes_no_surface_inside() {
+    // Points scatter so far that the space known to be near some of them reaches where nothing was sampled.
+    let (frames, poses) = noisy_views(&BOX, 24, 100, 0.005);
+    let field = run(&FieldConfig { pose_learning_rate: 0.0, surface_rays: 256, ..small() }, &frames, &poses);
+    let mesh = field.extract_mesh(0.003);
+    let deep = mesh.vertices.iter().filter(|v| BOX.sdf(v.map(f64::from)) < -0.006).count();
+    println!("{deep} of {} vertices are inside", mesh.vertices.len());
+    assert!(mesh.vertices.len() > 5000 && deep < mesh.vertices.len() / 200);
+}
+
+#[test]
+fn appearance_codes_take_up_what_changes_from_frame_to_frame() {
+    // Every other frame is darker: without codes the colour can only be a compromise.
+    let (mut frames, poses) = views(&SPHERE, 12, 60);
+    for f in frames.iter_mut().step_by(2) {
+        for c in &mut Arc::make_mut(f).color {
+            *c = c.map(|v| v / 2);
+        }
+    }
+    let color_loss = |appearance: usize| {
+        let config = FieldConfig { steps: 150, appearance, pose_learning_rate: 0.0, ..small() };
+        let field = run(&config, &frames, &poses);
+        field.losses().iter().rev().take(20).map(|l| l.color).sum::<f64>()
+    };
+    let (with, without) = (color_loss(8), color_loss(0));
+    println!("colour loss {with:.4} with codes, {without:.4} without");
+    assert!(with < 0.85 * without);
+}
+
+#[test]
 fn the_size_of_the_scene_does_not_matter() {
     for scale in [0.5, 1.0, 3.0] {
         let shape = Shape::Sphere { radius: 0.1 * scale };

@@ -287,7 +287,7 @@ fn asked(method: Method, place: Place, repeat: u64, masks: &Masks, how: &How) ->
             config.memory.rule = other.memory.rule;
             config.memory.min_swing_deg = other.memory.min_swing_deg;
         }
-        Method::Ours | Method::Baseline(_) | Method::Open3d => {}
+        Method::Ours | Method::Refined | Method::Baseline(_) | Method::Open3d => {}
     }
     let schedule = match how.schedule {
         Turns::Lockstep => Schedule::Lockstep,

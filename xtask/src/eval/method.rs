@@ -9,6 +9,8 @@ use serde::{Deserialize, Serialize};
 #[serde(try_from = "String", into = "String")]
 pub(super) enum Method {
     Ours,
+    /// Ours, then refined over all keyframes once the video has ended.
+    Refined,
     /// Ours with a part taken out.
     Ablated(Ablation),
     /// Our tracker without the field and with BundleTrack's choice of keyframes; its poses fused into a surface.
@@ -21,7 +23,7 @@ pub(super) enum Method {
 impl Method {
     /// Everything that isn't an ablation and needs no other program.
     pub(super) fn all() -> Vec<Self> {
-        let mut all = vec![Self::Ours, Self::BundleTrack];
+        let mut all = vec![Self::Ours, Self::Refined, Self::BundleTrack];
         all.extend(Baseline::ALL.map(Self::Baseline));
         all
     }
@@ -33,6 +35,7 @@ impl Method {
     pub(super) fn name(self) -> &'static str {
         match self {
             Self::Ours => "ours",
+            Self::Refined => "refined",
             Self::BundleTrack => "bundletrack",
             Self::Ablated(ablation) => ablation.name(),
             Self::Baseline(baseline) => baseline.name(),
@@ -54,7 +57,7 @@ impl Method {
     /// Name in tables; beside published numbers it says that these are measured.
     pub(super) fn label(self, beside_published: bool) -> String {
         match self {
-            Self::Ablated(_) if beside_published => format!("ours, {}", self.name()),
+            Self::Ablated(_) | Self::Refined if beside_published => format!("ours, {}", self.name()),
             Self::Open3d if beside_published => "open3d (measured)".into(),
             Self::BundleTrack | Self::Baseline(_) if beside_published => format!("{} (ours)", self.name()),
             _ => self.name().into(),
@@ -105,7 +108,7 @@ mod tests {
             Method::parse(&own(m), &own(a)).map(|v| v.iter().map(|m| m.name()).collect::<Vec<_>>())
         };
         assert_eq!(names(&["sdf2sdf", "ours", "ours"], &["no-nof"]).unwrap(), ["ours", "sdf2sdf", "no-nof"]);
-        assert_eq!(names(&["all"], &["all"]).unwrap().len(), 10);
+        assert_eq!(names(&["all"], &["all"]).unwrap().len(), 11);
         assert_eq!(names(&["open3d", "ours"], &[]).unwrap(), ["ours", "open3d"]);
         let error = names(&["nonesuch"], &[]).unwrap_err().to_string();
         assert!(error.contains("nonesuch") && error.contains("kinectfusion"), "{error}");

@@ -1,6 +1,7 @@
 //! Scores the results of one job.
 
 use super::job::{Asked, read_json};
+use super::method::Method;
 use super::video::{Masks, Place};
 use anyhow::Context;
 use eval_metrics::{
@@ -121,11 +122,13 @@ fn by_ref(mesh: &ModelMesh) -> MeshRef<'_> {
     MeshRef::new(&mesh.vertices, &mesh.triangles)
 }
 
-/// Scores the results in `folder` (`ob_in_cam/`, `masks/`, `mesh.ply`, `run.json`).
+/// Scores the results in `folder` (`ob_in_cam/`, or `ob_in_cam_refined/` for [`Method::Refined`], `masks/`, `mesh.ply`,
+/// `run.json`).
 pub(super) fn score(asked: &Asked, folder: &Path) -> anyhow::Result<Score> {
     let run: RunFile = read_json(&folder.join("run.json"))?;
     let truth = Truth::read(&asked.place.open_unmasked()?)?;
-    let poses = read_poses(&truth, &folder.join("ob_in_cam"));
+    let dir = if asked.method == Method::Refined { "ob_in_cam_refined" } else { "ob_in_cam" };
+    let poses = read_poses(&truth, &folder.join(dir));
     let model = ModelPoints::from_mesh(by_ref(&truth.mesh)).context("the true mesh has no surface")?;
     let scores = score_poses(&poses, &truth.known.cam_from_obj, &model, asked.place.benchmark.max_error());
     let finite = |errors: Vec<f64>| errors.into_iter().map(|e| e.is_finite().then_some(e)).collect();

@@ -8,6 +8,7 @@ use anyhow::Context;
 use baselines::{Baseline, BaselineConfig, PoseFusion};
 use bundlesdf::{
     FrameResult, Observer, OutputFolder, RunReport, Schedule, Status, Tracker, VideoInput, VideoRun,
+    refine::{RefineOptions, refine},
     run_video,
 };
 use marching_cubes::TriMesh;
@@ -57,7 +58,13 @@ fn run_ours(asked: &Asked, video: Arc<Video>, out: &OutputFolder) -> anyhow::Res
         write_mesh(out, &fused(&video, &run, out))?;
     }
     let report = RunReport { input: input(asked), ..RunReport::new(config, schedule, &run) };
-    Ok(out.write_report(&report)?)
+    out.write_report(&report)?;
+    if asked.method == Method::Refined {
+        let stop = AtomicBool::new(false);
+        let refined = refine(out, &*video, &RefineOptions::default(), &stop, &|_| {})?;
+        out.write_refined(&refined)?;
+    }
+    Ok(())
 }
 
 /// What opens the video again, for the commands that work on finished runs.

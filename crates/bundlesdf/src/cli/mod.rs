@@ -8,6 +8,7 @@ mod export;
 mod log;
 mod mask;
 mod progress;
+mod refine;
 mod report;
 mod run;
 
@@ -39,6 +40,7 @@ Examples:
   bundlesdf run VIDEO --out OUT           track VIDEO from the mask of its first frame
   bundlesdf run VIDEO --out OUT --masks all --schedule realtime
   bundlesdf run --resume OUT              go on with a run that was stopped
+  bundlesdf refine OUT                    improve the mesh and all poses of a run that has ended
   bundlesdf export OUT --canonical --sim  write textured meshes and simulator files of a finished run
   bundlesdf draw OUT --video OUT/poses.gif  draw box, axes and outline over the frames
 
@@ -69,6 +71,8 @@ enum Command {
     Demo(DemoArgs),
     /// Track and reconstruct the object in a video.
     Run(RunArgs),
+    /// Refine the results of a run: the mesh, and the poses of all frames against it.
+    Refine(refine::RefineArgs),
     /// Look at a video folder: what is in it, what is wrong, and what to do about it.
     Check(CheckArgs),
     /// Make the first frame's mask from a box around the object, or from points on it.
@@ -337,6 +341,7 @@ fn dispatch(command: &Command, log: Log) -> anyhow::Result<ExitCode> {
     match command {
         Command::Demo(args) => demo::demo(args, log),
         Command::Run(args) => run::run(args, log),
+        Command::Refine(args) => refine::refine(args, log),
         Command::Check(args) => check::check(args),
         Command::Mask(args) => mask::mask(args),
         Command::Report(args) => report::report(args),

@@ -11,19 +11,15 @@ use crate::{KeyframeReport, OutputFolder, texture::View};
 /// Most views that are used; of more, every n-th.
 const MOST_VIEWS: usize = 160;
 
-/// Reads a finished run's mesh and keyframes (object frame, metres), refined ones if both are there, and the keyframes'
-/// frames from the video.
+/// Reads a finished run's mesh and keyframes (object frame, metres), refined ones if the run was refined, and the
+/// keyframes' frames from the video.
 ///
 /// # Errors
 /// When a file is missing or broken, or the results don't say which video they are of.
 pub fn load(folder: &OutputFolder) -> Result<(TriMesh, Vec<View>), Error> {
-    let refined = folder.path().join("mesh_refined.ply");
-    let refined_keyframes = folder.path().join("keyframes_refined.json");
-    let (mesh, keyframes) = if refined.is_file() && refined_keyframes.is_file() {
-        (read_mesh(&refined)?, read_keyframes(&refined_keyframes)?)
-    } else {
-        (read_mesh(&folder.path().join("mesh.ply"))?, folder.read_keyframes()?)
-    };
+    let mesh = read_mesh(&folder.path().join("mesh.ply"))?;
+    let refined = folder.path().join("keyframes_refined.json");
+    let keyframes = if refined.is_file() { read_keyframes(&refined)? } else { folder.read_keyframes()? };
     let input = folder.read_report()?.input.ok_or_else(|| {
         let remedy = "export it from the program that fed the frames, with bundlesdf::export::build";
         Error::new(folder.path(), "doesn't say which video it was made from", remedy)

@@ -297,13 +297,14 @@ fn timings(report: &RunReport) -> Markup {
 }
 
 /// What the results folder may hold.
-const FILES: [(&str, &str); 16] = [
+const FILES: [(&str, &str); 18] = [
     ("ob_in_cam", "pose of every frame: 4\u{d7}4, object to camera"),
     ("ob_in_cam_refined", "the poses after the refinement over all frames"),
     ("masks", "mask that each frame was tracked with"),
     ("draw", "frames with overlays (bundlesdf draw)"),
     ("mesh.ply", "mesh for MeshLab, Open3D, CloudCompare"),
     ("mesh.obj", "mesh for nearly every program"),
+    ("mesh_online.ply", "the mesh before the refinement"),
     ("mesh.glb", "textured mesh for the web, Blender, game engines"),
     ("textured.obj", "textured mesh for nearly every program"),
     ("textured.ply", "mesh with confidence and number of observations"),
@@ -312,6 +313,7 @@ const FILES: [(&str, &str); 16] = [
     ("sim", "bodies for simulators: URDF and MJCF"),
     ("export.json", "what the export did"),
     ("keyframes.json", "keyframes and their poses"),
+    ("keyframes_refined.json", "keyframes and their poses after the refinement"),
     ("run.json", "everything on this page, for programs"),
     ("eval.json", "scores against the truth"),
 ];

@@ -5,6 +5,7 @@ mod correspond;
 mod graph;
 mod memory;
 mod motion;
+pub(crate) mod offline;
 mod result;
 mod rounds;
 mod save;

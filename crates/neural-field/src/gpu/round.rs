@@ -62,8 +62,11 @@ impl GpuRound {
         poses: &[Isometry3<f64>],
     ) -> Result<Self, FieldError> {
         gpu.check()?;
+        if config.appearance > 0 || config.outlier_ratio > 0.0 {
+            return Err(fail("appearance codes and outlier_ratio, which the kernels don't know"));
+        }
         let round = Round::new(config, frames, poses)?;
-        let parameters = initial_parameters(config);
+        let parameters = initial_parameters(config, frames.len());
         if parameters.grid.levels.len() > MAX_LEVELS {
             return Err(fail("more lattices than the kernels' tables hold"));
         }

@@ -1,0 +1,146 @@
+//! Every frame's pose against the refined keyframes and the field.
+
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+
+use nalgebra::Isometry3;
+use neural_field::TrainedField;
+use rayon::prelude::*;
+
+use super::{Progress, RefineError, RefinedFrame, Run, keyframes};
+use crate::{
+    config::MemoryConfig,
+    observation::Observation,
+    pool::{Keyframe, MemoryPool},
+    report::FrameReport,
+    tracker::{Status, offline},
+};
+
+/// Less depth agreement than this contradicts a pose.
+const CONVINCING: f64 = 0.5;
+
+/// All frames, with their keyframes as given.
+pub(super) fn place_all(
+    run: &Run<'_>,
+    reports: &[FrameReport],
+    keyframes: &[keyframes::Keyframe],
+    field: &TrainedField,
+    stop: &AtomicBool,
+    progress: &(dyn Fn(Progress) + Sync),
+) -> Result<Vec<RefinedFrame>, RefineError> {
+    let pool = pool(keyframes);
+    let guesses = guesses(run, reports, keyframes)?;
+    let done = AtomicUsize::new(0);
+    let place = |(index, report): (usize, &FrameReport)| {
+        if stop.load(Ordering::Relaxed) {
+            return Err(RefineError::Stopped);
+        }
+        let known = pool.get(index).map(|k| k.obj_from_cam);
+        let measured = known.or_else(|| {
+            // A frame whose images or mask can't be read again keeps the pose between its neighbours.
+            let observation = run.observe(index, &report.id).ok().flatten()?;
+            measure(run, &pool, field, &observation, &guesses[index], report.status)
+        });
+        progress(Progress::Frames(done.fetch_add(1, Ordering::Relaxed) + 1, reports.len()));
+        Ok(RefinedFrame {
+            index,
+            id: report.id.clone(),
+            cam_from_obj: measured.unwrap_or(guesses[index]).inverse(),
+            measured: measured.is_some(),
+        })
+    };
+    reports.par_iter().enumerate().map(place).collect()
+}
+
+/// Keyframes that the field has refined: constants for every other frame.
+fn pool(keyframes: &[keyframes::Keyframe]) -> MemoryPool {
+    let unlimited = MemoryConfig { capacity: usize::MAX, ..MemoryConfig::default() };
+    let mut pool = MemoryPool::default();
+    for keyframe in keyframes {
+        let keyframe = Keyframe {
+            index: keyframe.observation.index,
+            id: keyframe.id.clone(),
+            obj_from_cam: keyframe.refined,
+            refined_by_field: true,
+            observation: keyframe.observation.clone(),
+        };
+        pool.add(keyframe, [], &unlimited);
+    }
+    pool
+}
+
+/// The pose of a frame that is no keyframe; `None` when nothing of it speaks for a pose.
+fn measure(
+    run: &Run<'_>,
+    pool: &MemoryPool,
+    field: &TrainedField,
+    observation: &Observation,
+    guess: &Isometry3<f64>,
+    status: Status,
+) -> Option<Isometry3<f64>> {
+    let agreement = |pose: &Isometry3<f64>| offline::agreement(pool, observation, pose);
+    let placed = offline::place(pool, field, observation, guess, run.config);
+    let trusted = matches!(status, Status::Tracked | Status::Relocalised);
+    let convincing = |pose: &Isometry3<f64>| agreement(pose).is_some_and(|a| a >= CONVINCING);
+    if trusted || convincing(&placed) {
+        return Some(placed);
+    }
+    let found = offline::find(pool, observation, run.config)?;
+    let placed = offline::place(pool, field, observation, &found, run.config);
+    convincing(&placed).then_some(placed)
+}
+
+/// Where each frame should be: its online pose, carried along with the corrections of the keyframes before and after
+/// it; a lost frame's between its neighbours.
+fn guesses(
+    run: &Run<'_>,
+    reports: &[FrameReport],
+    keyframes: &[keyframes::Keyframe],
+) -> Result<Vec<Isometry3<f64>>, RefineError> {
+    let mut known: Vec<(usize, Isometry3<f64>)> = Vec::with_capacity(reports.len());
+    for (index, report) in reports.iter().enumerate() {
+        if report.status != Status::Lost {
+            let online = run.folder.read_pose(&report.id)?.inverse();
+            // Seen from the camera the object moves about itself: that is what can be interpolated.
+            known.push((index, (correction(keyframes, index) * online).inverse()));
+        }
+    }
+    Ok((0..reports.len()).map(|index| between(&known, index).inverse()).collect())
+}
+
+/// What takes a pose of the time of frame `index` to the refined keyframes.
+fn correction(keyframes: &[keyframes::Keyframe], index: usize) -> Isometry3<f64> {
+    let corrections: Vec<_> =
+        keyframes.iter().map(|k| (k.observation.index, k.refined * k.online.inverse())).collect();
+    between(&corrections, index)
+}
+
+/// The value at `index` of a motion that is known at some indices (ascending), the nearest one beyond its ends.
+fn between(known: &[(usize, Isometry3<f64>)], index: usize) -> Isometry3<f64> {
+    let after = known.partition_point(|(i, _)| *i < index);
+    match (after.checked_sub(1).and_then(|before| known.get(before)), known.get(after)) {
+        (Some((i, a)), Some((j, b))) => {
+            let share = (index - i) as f64 / (j - i) as f64;
+            a.try_lerp_slerp(b, share, 1e-9).unwrap_or(*b)
+        }
+        (Some((_, only)), None) | (None, Some((_, only))) => *only,
+        (None, None) => Isometry3::identity(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::Vector3;
+
+    use super::*;
+
+    #[test]
+    fn what_is_not_known_lies_between_its_neighbours() {
+        let at = |x: f64, turn: f64| Isometry3::new(Vector3::new(x, 0.0, 0.0), Vector3::new(0.0, turn, 0.0));
+        let known = [(2, at(0.0, 0.0)), (6, at(0.4, 0.8))];
+        assert_eq!(between(&known, 0), known[0].1);
+        assert_eq!(between(&known, 9), known[1].1);
+        assert!((between(&known, 6).to_homogeneous() - known[1].1.to_homogeneous()).norm() < 1e-12);
+        assert!((between(&known, 3).to_homogeneous() - at(0.1, 0.2).to_homogeneous()).norm() < 1e-9);
+        assert_eq!(between(&[], 3), Isometry3::identity());
+    }
+}

@@ -1,0 +1,278 @@
+//! Where the time of a training step goes, and what the machine could do at best (feature `bench`).
+
+use crate::adam::{self, Rate};
+use crate::config::FieldConfig;
+use crate::engine::CpuEngine;
+use crate::error::FieldError;
+use crate::frame::FieldImages;
+use crate::grid::{FEATURES, Grid};
+use crate::pass::layer_forward;
+use crate::pose::PoseCorrections;
+use crate::real::Real;
+use crate::round::Round;
+use crate::sampler::{Buffers, Sampler};
+use crate::simd;
+use crate::tile::{Model, RayPose, Scratch, Tile, TileGradient};
+use nalgebra::Isometry3;
+use std::sync::Arc;
+use std::time::Instant;
+
+/// What one kernel did in the measured steps, all workers together.
+#[derive(Clone, Copy, Debug)]
+pub struct Kernel {
+    /// Name.
+    pub name: &'static str,
+    /// Seconds of all workers in sum.
+    pub seconds: f64,
+    /// Floating-point operations of the network products (a multiply-add is two); 0 where another thing is counted.
+    pub flops: f64,
+    /// Bytes read and written in the tables; 0 where another thing is counted.
+    pub bytes: f64,
+}
+
+/// The measured steps.
+#[derive(Clone, Debug)]
+pub struct StepProfile {
+    /// Number of steps.
+    pub steps: usize,
+    /// Wall-clock seconds of the steps.
+    pub seconds: f64,
+    /// Samples of a step.
+    pub samples: usize,
+    /// Time by kernel.
+    pub kernels: Vec<Kernel>,
+}
+
+/// Runs some steps of a round and measures them, after two that don't count. Uses the current rayon pool.
+///
+/// # Errors
+/// As [`train`](crate::train).
+pub fn profile_steps(
+    config: &FieldConfig,
+    frames: &[Arc<FieldImages>],
+    poses: &[Isometry3<f64>],
+    steps: usize,
+) -> Result<StepProfile, FieldError> {
+    const WARM_UP: usize = 2;
+    let (sampler, mut corrections, mut engine) = prepare(config, frames, poses)?;
+    let rates = (config.learning_rate, config.pose_learning_rate);
+    for step in 0..WARM_UP {
+        engine.step(&sampler, &mut corrections, step, rates);
+    }
+    let before = engine.seconds();
+    let start = Instant::now();
+    for step in WARM_UP..WARM_UP + steps {
+        engine.step(&sampler, &mut corrections, step, rates);
+    }
+    let seconds = start.elapsed().as_secs_f64();
+    let after = engine.seconds();
+    let work = Work::of(config, &sampler, &engine);
+    let names = ["sampling", "encode", "geometry", "colour", "backward", "eikonal", "scatter", "adam"];
+    let kernels = names
+        .iter()
+        .enumerate()
+        .map(|(k, name)| Kernel {
+            name,
+            seconds: after[k] - before[k],
+            flops: work.flops[k] * steps as f64,
+            bytes: work.bytes[k] * steps as f64,
+        })
+        .collect();
+    Ok(StepProfile { steps, seconds, samples: work.samples, kernels })
+}
+
+fn prepare(
+    config: &FieldConfig,
+    frames: &[Arc<FieldImages>],
+    poses: &[Isometry3<f64>],
+) -> Result<(Sampler, PoseCorrections, CpuEngine), FieldError> {
+    let Round { sampler, corrections, .. } = Round::new(config, frames, poses)?;
+    let engine = CpuEngine::new(config, &sampler);
+    Ok((sampler, corrections, engine))
+}
+
+/// Work of one step by kernel, from the shapes alone.
+struct Work {
+    samples: usize,
+    flops: [f64; 8],
+    bytes: [f64; 8],
+}
+
+impl Work {
+    fn of(config: &FieldConfig, sampler: &Sampler, engine: &CpuEngine) -> Self {
+        let (n, c) = (&engine.networks, sampler.counts);
+        let samples = c.surface_tiles * c.surface_lanes() + c.ring_tiles * c.ring_lanes();
+        let central = (c.surface_tiles * c.central_lanes()) as f64;
+        let all = samples as f64;
+        let (e, h, f, i) =
+            (n.encoding() as f64, n.hidden() as f64, n.features as f64, n.color[0].inputs as f64);
+        let layers = i * h + h * h + 3.0 * h;
+        let eikonal = if config.weights.eikonal > 0.0 && config.eikonal_every > 0 {
+            central / config.eikonal_every as f64
+        } else {
+            0.0
+        };
+        let corners = (8 * FEATURES * size_of::<f32>() * config.levels) as f64 * all;
+        Self {
+            samples,
+            flops: [
+                0.0,
+                0.0,
+                all * 2.0 * (e * h + h),
+                central * (2.0 * f * h + 6.0 * layers),
+                all * 4.0 * (e * h + h) + central * 4.0 * f * h,
+                eikonal * 6.0 * e * h,
+                0.0,
+                0.0,
+            ],
+            bytes: [0.0, corners, 0.0, 0.0, 0.0, 0.0, 2.0 * corners, 0.0],
+        }
+    }
+}
+
+/// Most multiply-adds that `threads` threads do, in operations per second (two a multiply-add), measured.
+pub fn peak_flops(threads: usize) -> f64 {
+    const ROUNDS: usize = 4_000_000;
+    let best = (0..3).map(|_| {
+        let start = Instant::now();
+        std::thread::scope(|scope| {
+            for _ in 0..threads {
+                scope.spawn(|| {
+                    let mut sums = [[1.0f32; 8]; 12];
+                    simd::multiply_add(&mut sums, ROUNDS);
+                    std::hint::black_box(sums);
+                });
+            }
+        });
+        (threads * ROUNDS * 12 * 8 * 2) as f64 / start.elapsed().as_secs_f64()
+    });
+    best.fold(0.0, f64::max)
+}
+
+/// Bytes per second that `threads` threads read and write together when they copy arrays larger than any cache.
+pub fn peak_bytes(threads: usize) -> f64 {
+    const LENGTH: usize = 16 << 20;
+    let best = (0..3).map(|_| {
+        let mut arrays: Vec<_> = (0..threads).map(|_| (vec![1.0f32; LENGTH], vec![0.0f32; LENGTH])).collect();
+        let start = Instant::now();
+        std::thread::scope(|scope| {
+            for (from, to) in &mut arrays {
+                scope.spawn(|| {
+                    to.copy_from_slice(from);
+                    std::hint::black_box(to);
+                });
+            }
+        });
+        (threads * LENGTH * 2 * size_of::<f32>()) as f64 / start.elapsed().as_secs_f64()
+    });
+    best.fold(0.0, f64::max)
+}
+
+#[inline(always)]
+pub(crate) fn multiply_add<const FMA: bool>(sums: &mut [[f32; 8]; 12], rounds: usize) {
+    let (factor, add) = (std::hint::black_box(0.999f32), std::hint::black_box(0.001f32));
+    let mut local = *sums;
+    for _ in 0..rounds {
+        for sum in &mut local {
+            for v in sum {
+                *v = v.madd::<FMA>(factor, add);
+            }
+        }
+    }
+    *sums = local;
+}
+
+#[inline(always)]
+pub(crate) fn encode(grid: &Grid<f32>, lanes: usize, pos: &[f32], s: &mut Scratch<f32>) {
+    grid.encode(pos, lanes, &mut s.enc, &mut s.jac);
+}
+
+#[inline(always)]
+pub(crate) fn layer<const FMA: bool>(model: &Model<'_, f32>, lanes: usize, s: &mut Scratch<f32>) {
+    let first = &model.networks.geometry[0];
+    layer_forward::<f32, FMA>(first, model.weights, (&s.enc, lanes), (&mut s.hidden, lanes), true);
+}
+
+/// The kernels of a step one by one, for micro-benchmarks.
+#[derive(Debug)]
+pub struct Kernels {
+    sampler: Sampler,
+    engine: CpuEngine,
+    poses: Vec<RayPose<f32>>,
+    tile: Tile<f32>,
+    scratch: Scratch<f32>,
+    out: TileGradient<f32>,
+    buffers: Buffers,
+    weights: Vec<f32>,
+    step: usize,
+}
+
+impl Kernels {
+    /// Prepares a round and one tile of it.
+    ///
+    /// # Errors
+    /// As [`train`](crate::train).
+    pub fn new(
+        config: &FieldConfig,
+        frames: &[Arc<FieldImages>],
+        poses: &[Isometry3<f64>],
+    ) -> Result<Self, FieldError> {
+        let (sampler, corrections, engine) = prepare(config, frames, poses)?;
+        let (lanes, central) = (sampler.counts.surface_lanes(), sampler.counts.central_lanes());
+        let mut kernels = Self {
+            poses: corrections.ray_poses(),
+            tile: Tile::new(lanes, central),
+            scratch: Scratch::new(lanes, central, &engine.networks),
+            out: TileGradient::new(lanes, central, &engine.networks),
+            buffers: Buffers::default(),
+            weights: vec![0.0; engine.networks.len],
+            sampler,
+            engine,
+            step: 0,
+        };
+        kernels.sample();
+        kernels.tile();
+        Ok(kernels)
+    }
+
+    /// Samples of the tile.
+    pub fn lanes(&self) -> usize {
+        self.tile.lanes
+    }
+
+    /// Draws the rays and samples of a tile.
+    pub fn sample(&mut self) {
+        self.step += 1;
+        self.sampler.fill_surface((self.step, 0), &self.poses, &mut self.tile, &mut self.buffers);
+    }
+
+    /// Encodes the tile's samples.
+    pub fn encode(&mut self) {
+        simd::encode(&self.engine.grid, self.tile.lanes, &self.out.pos, &mut self.scratch);
+    }
+
+    /// The hidden layer of the geometry network.
+    pub fn layer(&mut self) {
+        let engine = &self.engine;
+        simd::layer(&engine.model(), self.tile.lanes, &mut self.scratch);
+    }
+
+    /// The whole tile, forward and backward.
+    pub fn tile(&mut self) {
+        let engine = &self.engine;
+        simd::run_tile(
+            &engine.model(),
+            &self.poses,
+            &self.tile,
+            &mut self.scratch,
+            &mut self.out,
+            &mut self.weights,
+        );
+    }
+
+    /// Adam on the networks.
+    pub fn adam(&mut self) {
+        let mut moments = vec![[0.0; 2]; self.weights.len()];
+        adam::update(Rate::new(1e-3, 1), &mut self.engine.weights, &mut self.weights, &mut moments);
+    }
+}

@@ -1,0 +1,66 @@
+//! Scripts outside the repository that do the same work with other software.
+
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+/// Where a peer is and what runs it.
+#[derive(clap::Args)]
+pub(super) struct PeerArgs {
+    /// Python script of the peer; without it only our own speed is measured.
+    #[arg(long, value_name = "PATH")]
+    peer: Option<PathBuf>,
+    /// Python that has what the peer needs.
+    #[arg(long, value_name = "PROGRAM", default_value = "python3")]
+    python: PathBuf,
+}
+
+impl PeerArgs {
+    /// What the peer prints, or why there is nothing; the reason is printed.
+    pub(super) fn output(&self, arguments: &[&str]) -> Option<String> {
+        let Some(script) = &self.peer else {
+            println!("peer: skipped, no --peer PATH");
+            return None;
+        };
+        match self.start(script, arguments) {
+            Ok(text) => Some(text),
+            Err(reason) => {
+                println!("peer: skipped, {reason}");
+                None
+            }
+        }
+    }
+
+    fn start(&self, script: &Path, arguments: &[&str]) -> Result<String, String> {
+        let output = Command::new(&self.python)
+            .arg(script)
+            .args(arguments)
+            .output()
+            .map_err(|e| format!("{} can't be started ({e})", self.python.display()))?;
+        if output.status.success() {
+            return Ok(String::from_utf8_lossy(&output.stdout).into_owned());
+        }
+        let errors = String::from_utf8_lossy(&output.stderr);
+        let last = errors.lines().last().unwrap_or("no message").to_owned();
+        Err(format!("{} failed: {last}", script.display()))
+    }
+}
+
+/// The number that follows `key` in `text`.
+pub(super) fn number_after(text: &str, key: &str) -> Option<f64> {
+    let rest = &text[text.find(key)? + key.len()..];
+    let end = rest.find(|c: char| !(c.is_ascii_digit() || c == '.')).unwrap_or(rest.len());
+    rest[..end].parse().ok()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_are_found_by_their_key() {
+        let line = "device=cpu s/step=1.2345 s/300 steps=370.3 loss=0.1";
+        assert_eq!(number_after(line, "s/step="), Some(1.2345));
+        assert_eq!(number_after(line, "steps="), Some(370.3));
+        assert_eq!(number_after(line, "volts="), None);
+    }
+}
