@@ -5,8 +5,8 @@ mod marching_cubes;
 mod mask;
 mod peer;
 mod posegraph;
-mod tracker;
 mod texture;
+mod tracker;
 
 use clap::Subcommand;
 use std::process::ExitCode;
