@@ -4,6 +4,7 @@
 
 mod bench;
 mod eval;
+mod python;
 mod tidy;
 
 use clap::{Parser, Subcommand};

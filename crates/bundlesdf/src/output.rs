@@ -148,6 +148,15 @@ impl OutputFolder {
         self.read_json("keyframes.json")
     }
 
+    /// Reads `keyframes_refined.json`; `None` when the run was not refined.
+    ///
+    /// # Errors
+    /// When it is there and damaged.
+    pub fn read_refined_keyframes(&self) -> Result<Option<Vec<KeyframeReport>>, Error> {
+        let name = "keyframes_refined.json";
+        if self.root.join(name).is_file() { self.read_json(name).map(Some) } else { Ok(None) }
+    }
+
     /// Reads `ob_in_cam/<id>.txt`: `cam_from_obj`.
     ///
     /// # Errors

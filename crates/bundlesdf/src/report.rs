@@ -1,7 +1,7 @@
 //! `run.json` and `keyframes.json`: what a run did, for programs.
 
 use marching_cubes::TriMesh;
-use nalgebra::Isometry3;
+use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion};
 use neural_field::StepLosses;
 use serde::{Deserialize, Serialize};
 
@@ -230,6 +230,17 @@ pub struct KeyframeReport {
 }
 
 impl KeyframeReport {
+    /// `cam_from_obj`, with the file's rounding taken out of the rotation; `None` when a number isn't finite.
+    pub(crate) fn pose(&self) -> Option<Isometry3<f64>> {
+        let m = &self.cam_from_obj;
+        if !m.iter().flatten().all(|v| v.is_finite()) {
+            return None;
+        }
+        let rotation = Rotation3::from_matrix_unchecked(Matrix3::from_fn(|r, c| m[r][c]));
+        let rotation = UnitQuaternion::from_rotation_matrix(&rotation);
+        Some(Isometry3::from_parts(Translation3::new(m[0][3], m[1][3], m[2][3]), rotation))
+    }
+
     pub(crate) fn of(keyframe: &Keyframe) -> Self {
         Self {
             index: keyframe.index,

@@ -112,6 +112,38 @@ fn a_finished_run_can_be_logged_reported_and_drawn() {
 }
 
 #[test]
+fn a_finished_run_can_be_refined() {
+    let (dir, video) = video(12);
+    let out = dir.path().join("out");
+    let (input, results) = (video.to_str().unwrap(), out.to_str().unwrap());
+    let config = dir.path().join("short.toml");
+    fs::write(&config, "[field]\nsteps = 40\nfinal_steps = 60\n").unwrap();
+    let run = ["run", input, "--out", results, "--masks", "all", "--config", config.to_str().unwrap()];
+    assert!(bundlesdf(&run).status.success());
+    let read = |name: &str| fs::read(out.join(name)).unwrap();
+    let names = ["mesh.ply", "mesh.obj", "mesh.glb"];
+    let before = names.map(read);
+    let poses: Vec<_> = files(&out.join("ob_in_cam")).iter().map(|f| fs::read(f).unwrap()).collect();
+
+    let output = bundlesdf(&["refine", results, "--steps", "60"]);
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let refined = files(&out.join("ob_in_cam_refined"));
+    assert_eq!(refined.len(), 12);
+    assert!(refined.iter().all(|f| rgbd_io::poses::read_pose(f).is_ok()));
+    assert!(out.join("keyframes_refined.json").exists());
+    // The run's own results stay; its mesh has another name, and the textured mesh is that of the new one.
+    let kept: Vec<_> = files(&out.join("ob_in_cam")).iter().map(|f| fs::read(f).unwrap()).collect();
+    assert_eq!(kept, poses);
+    assert_eq!([read("mesh_online.ply"), read("mesh_online.obj")], [before[0].clone(), before[1].clone()]);
+    for (name, before) in names.iter().zip(&before) {
+        assert!(read(name) != *before, "{name} is still that of the run");
+    }
+    // A second refinement keeps the run's mesh, not the first refinement's.
+    assert!(bundlesdf(&["refine", results, "--steps", "40"]).status.success());
+    assert_eq!(read("mesh_online.ply"), before[0]);
+}
+
+#[test]
 fn errors_follow_the_log_and_have_no_colours_off_a_terminal() {
     let text = bundlesdf(&["report", "nowhere"]);
     assert_eq!(text.status.code(), Some(2));

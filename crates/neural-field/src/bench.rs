@@ -204,6 +204,7 @@ pub struct Kernels {
     out: TileGradient<f32>,
     buffers: Buffers,
     weights: Vec<f32>,
+    moments: Vec<[f32; 2]>,
     step: usize,
 }
 
@@ -226,6 +227,7 @@ impl Kernels {
             out: TileGradient::new(lanes, central, &engine.networks),
             buffers: Buffers::default(),
             weights: vec![0.0; engine.networks.len],
+            moments: vec![[0.0; 2]; engine.networks.len],
             sampler,
             engine,
             step: 0,
@@ -272,7 +274,6 @@ impl Kernels {
 
     /// Adam on the networks.
     pub fn adam(&mut self) {
-        let mut moments = vec![[0.0; 2]; self.weights.len()];
-        adam::update(Rate::new(1e-3, 1), &mut self.engine.weights, &mut self.weights, &mut moments);
+        adam::update(Rate::new(1e-3, 1), &mut self.engine.weights, &mut self.weights, &mut self.moments);
     }
 }

@@ -1,7 +1,7 @@
 //! Scripts outside the repository that do the same work with other software.
 
-use std::path::{Path, PathBuf};
-use std::process::Command;
+use crate::python;
+use std::path::PathBuf;
 
 /// Where a peer is and what runs it.
 #[derive(clap::Args)]
@@ -21,27 +21,13 @@ impl PeerArgs {
             println!("peer: skipped, no --peer PATH");
             return None;
         };
-        match self.start(script, arguments) {
-            Ok(text) => Some(text),
+        match python::output(&self.python, script, arguments) {
+            Ok(bytes) => Some(String::from_utf8_lossy(&bytes).into_owned()),
             Err(reason) => {
-                println!("peer: skipped, {reason}");
+                println!("peer: skipped, {reason:#}");
                 None
             }
         }
-    }
-
-    fn start(&self, script: &Path, arguments: &[&str]) -> Result<String, String> {
-        let output = Command::new(&self.python)
-            .arg(script)
-            .args(arguments)
-            .output()
-            .map_err(|e| format!("{} can't be started ({e})", self.python.display()))?;
-        if output.status.success() {
-            return Ok(String::from_utf8_lossy(&output.stdout).into_owned());
-        }
-        let errors = String::from_utf8_lossy(&output.stderr);
-        let last = errors.lines().last().unwrap_or("no message").to_owned();
-        Err(format!("{} failed: {last}", script.display()))
     }
 }
 

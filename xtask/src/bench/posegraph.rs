@@ -1,13 +1,15 @@
 //! `cargo xtask bench posegraph`: public pose graphs to their optimum, beside GTSAM if a Python with it is named.
 
 use std::path::{Path, PathBuf};
-use std::process::{Command, ExitCode};
+use std::process::ExitCode;
 use std::time::Instant;
 
-use anyhow::{Context, ensure};
+use anyhow::Context;
 use posegraph::g2o;
 use posegraph::sparse::{Options, solve};
 use serde::{Deserialize, Serialize};
+
+use crate::python;
 
 /// The peer's script, from the workspace's root.
 const SCRIPT: &str = "xtask/peers/gtsam_pose_graph.py";
@@ -104,20 +106,13 @@ fn ours(path: &Path, repeat: u16) -> anyhow::Result<Solved> {
 
 /// GTSAM's figures; `None`, with a line that says so, if that Python has none.
 fn gtsam(python: &Path, file: &Path, repeat: u16) -> anyhow::Result<Option<Solved>> {
-    let has = Command::new(python).args(["-c", "import gtsam"]).output();
-    if !has.is_ok_and(|output| output.status.success()) {
+    if !python::has(python, "gtsam") {
         eprintln!("skipped: {} has no gtsam (pip install gtsam)", python.display());
         return Ok(None);
     }
-    let output = Command::new(python)
-        .arg(SCRIPT)
-        .arg(repeat.to_string())
-        .arg(file)
-        .output()
-        .with_context(|| format!("{} can't be started", python.display()))?;
-    ensure!(output.status.success(), "{SCRIPT}: {}", String::from_utf8_lossy(&output.stderr));
-    let solved =
-        serde_json::from_slice(&output.stdout).with_context(|| format!("{SCRIPT} printed no figures"))?;
+    let printed =
+        python::output(python, Path::new(SCRIPT), &[repeat.to_string().as_ref(), file.as_os_str()])?;
+    let solved = serde_json::from_slice(&printed).with_context(|| format!("{SCRIPT} printed no figures"))?;
     Ok(Some(solved))
 }
 

@@ -21,7 +21,7 @@ pub(crate) struct TrackerArgs {
     #[arg(long, value_name = "DIR")]
     dir: Vec<PathBuf>,
     /// Where the synthetic sequences are kept; made on first use.
-    #[arg(long, alias = "data", default_value = "out/synth", value_name = "DIR")]
+    #[arg(long, default_value = "out/synth", value_name = "DIR")]
     root: PathBuf,
     /// Stop after this many frames of each sequence.
     #[arg(long, value_name = "N")]

@@ -240,7 +240,10 @@ fn plan(benchmark: Benchmark, how: &How, places: Places) -> anyhow::Result<Plan<
         );
         methods.retain(|m| *m != Method::Open3d);
     }
-    anyhow::ensure!(!methods.is_empty(), "no method is named; --method all runs them all");
+    anyhow::ensure!(
+        !methods.is_empty(),
+        "no method is left to run; --method all runs those that need nothing else"
+    );
     let masks = Masks::parse(&how.masks);
     let mut jobs = Vec::new();
     for (root, name) in places.sequences {

@@ -1,10 +1,9 @@
 //! Open3D's odometry and fusion, as a method beside ours: the frames go to a script, its poses and mesh come back.
 
 use std::path::Path;
-use std::process::Command;
 use std::time::Instant;
 
-use anyhow::{Context, ensure};
+use anyhow::Context;
 use bundlesdf::{OutputFolder, Status};
 use rgbd_io::{CustomWriter, FrameSource, Image, Intrinsics, RgbdFrame};
 use serde::Deserialize;
@@ -26,8 +25,7 @@ struct Told {
 
 /// Whether there is a Python with Open3D.
 pub(super) fn has_open3d(python: Option<&Path>) -> bool {
-    let Some(python) = python else { return false };
-    Command::new(python).args(["-c", "import open3d"]).output().is_ok_and(|output| output.status.success())
+    python.is_some_and(|python| crate::python::has(python, "open3d"))
 }
 
 /// Runs the script on the masked frames of `video` and fills `out`.
@@ -41,13 +39,9 @@ pub(super) fn run(
     let start = Instant::now();
     let (frames, found) = (out.path().join("peer_frames"), out.path().join("peer"));
     let ids = write_frames(video, out, &frames)?;
-    let output = Command::new(python)
-        .arg(SCRIPT)
-        .args([&frames, &found])
-        .arg(spacing.to_string())
-        .output()
-        .with_context(|| format!("{} can't be started", python.display()))?;
-    ensure!(output.status.success(), "{SCRIPT}: {}", String::from_utf8_lossy(&output.stderr));
+    let spacing = spacing.to_string();
+    let arguments = [frames.as_os_str(), found.as_os_str(), spacing.as_ref()];
+    crate::python::output(python, Path::new(SCRIPT), &arguments)?;
     let told: Told = read_json(&found.join("peer.json"))?;
     for (index, id) in ids.iter().enumerate() {
         let pose = rgbd_io::poses::read_pose(&found.join("ob_in_cam").join(format!("{index:06}.txt")))?;

@@ -12,12 +12,12 @@ use clap::Args;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use rgbd_synth::Sequence;
 
-use super::{EXIT_INTERRUPTED, log::Log, report::write_report, run::print, stop_flag};
+use super::{EXIT_INTERRUPTED, export, log::Log, report::write_report, run::print, stop_flag};
 
 #[derive(Args, Debug)]
 pub(super) struct RefineArgs {
-    /// Folder of a run that has ended. Adds ob_in_cam_refined/ and keyframes_refined.json and replaces the mesh; the
-    /// run's own poses stay, and its mesh as mesh_online.ply and mesh_online.obj.
+    /// Folder of a run that has ended. Adds ob_in_cam_refined/ and keyframes_refined.json and replaces the mesh, also
+    /// the textured one if there is one; the run's own poses stay, and its mesh as mesh_online.ply and mesh_online.obj.
     out: PathBuf,
     /// Bridge the holes of the mesh where the object was never seen: watertight.
     #[arg(long)]
@@ -59,6 +59,10 @@ pub(super) fn refine(args: &RefineArgs, log: Log) -> anyhow::Result<ExitCode> {
         other => other?,
     };
     folder.write_refined(&refined)?;
+    // The report shows this file: it must not be the mesh from before.
+    if folder.path().join("mesh.glb").is_file() {
+        export::at_the_end(&report, &folder, log);
+    }
     write_report(&folder, log);
     print(&summary(&refined, &folder));
     print(&truth_lines(&report, &folder, &refined)?);

@@ -77,7 +77,7 @@ impl Results {
 
     /// Directions of the keyframes' cameras; `None` for a pose that can't be used.
     pub(super) fn keyframe_directions(&self) -> Vec<Option<Vector3<f64>>> {
-        self.keyframes.iter().map(|k| self.camera_direction(&pose_of(k)?)).collect()
+        self.keyframes.iter().map(|k| self.camera_direction(&k.pose()?)).collect()
     }
 
     /// Share of all viewing directions with a keyframe within 45 degrees: those sides were seen well.
@@ -89,16 +89,6 @@ impl Results {
             (0..SAMPLES).filter(|i| seen.iter().any(|d| d.dot(&direction(*i, SAMPLES)) > near)).count();
         covered as f64 / SAMPLES as f64
     }
-}
-
-/// `cam_from_obj` of a keyframe; `None` when the matrix isn't a pose.
-fn pose_of(keyframe: &KeyframeReport) -> Option<Isometry3<f64>> {
-    let m = nalgebra::Matrix4::from_fn(|r, c| keyframe.cam_from_obj[r][c]);
-    if !m.iter().all(|v| v.is_finite()) {
-        return None;
-    }
-    let rotation = nalgebra::Rotation3::from_matrix_unchecked(m.fixed_view::<3, 3>(0, 0).into_owned());
-    Some(Isometry3::from_parts(m.fixed_view::<3, 1>(0, 3).into_owned().into(), rotation.into()))
 }
 
 /// The exported GLB, or one made from the mesh for a run that wrote none.

@@ -5,7 +5,7 @@ use std::sync::{
     atomic::{AtomicBool, AtomicUsize, Ordering},
 };
 
-use nalgebra::{Isometry3, Matrix3, Rotation3, UnitQuaternion, Vector3};
+use nalgebra::Isometry3;
 use rayon::prelude::*;
 use se3_lie::distance::swing_angle;
 
@@ -35,7 +35,7 @@ pub(super) struct Keyframe {
     pub(super) refined: Isometry3<f64>,
 }
 
-/// Reads all keyframes; one that can't be observed again is left out.
+/// Reads all keyframes; one that can't be observed again, or has no pose, is left out.
 pub(super) fn read(
     run: &Run<'_>,
     stop: &AtomicBool,
@@ -49,24 +49,17 @@ pub(super) fn read(
         }
         let observation = run.observe(report.index, &report.id)?;
         progress(Progress::Reading(done.fetch_add(1, Ordering::Relaxed) + 1, reports.len()));
-        let Some(observation) = observation else { return Ok(None) };
+        let (Some(observation), Some(pose)) = (observation, report.pose()) else { return Ok(None) };
         let online = run.folder.read_pose(&report.id)?.inverse();
         Ok(Some(Keyframe {
             id: report.id.clone(),
             observation: Arc::new(observation),
             online,
-            refined: obj_from_cam(report),
+            refined: pose.inverse(),
         }))
     };
     let keyframes: Vec<_> = reports.par_iter().map(read).collect::<Result<_, _>>()?;
     Ok(keyframes.into_iter().flatten().collect())
-}
-
-fn obj_from_cam(report: &KeyframeReport) -> Isometry3<f64> {
-    let m = &report.cam_from_obj;
-    let rotation = Matrix3::from_fn(|r, c| m[r][c]);
-    let rotation = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(rotation));
-    Isometry3::from_parts(Vector3::new(m[0][3], m[1][3], m[2][3]).into(), rotation).inverse()
 }
 
 /// Moves the keyframes to where matches and depth of all pairs agree best; the first one stays. Closes loops that are

@@ -369,11 +369,9 @@ impl Tracker {
         const CONVINCING: f64 = 0.5;
         /// With as much depth agreement as this a pose needs no match to be believed.
         const UNDISPUTED: f64 = 0.9;
-        /// With less common surface than this the depth says nothing for or against.
-        const MIN_OVERLAP: usize = 20;
         let agreement = agreement_with_memory(&self.pool, &observation, &estimate.pose);
         let enough = estimate.inliers >= self.config.coarse.min_inliers;
-        let share = if agreement.overlap < MIN_OVERLAP { CONTRADICTED } else { agreement.inlier_share };
+        let share = agreement.known_share().unwrap_or(CONTRADICTED);
         let status = match (enough, share) {
             (true, s) if s >= CONVINCING && estimate.relocalised => Status::Relocalised,
             (true, s) if s >= CONVINCING => Status::Tracked,

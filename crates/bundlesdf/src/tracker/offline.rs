@@ -72,9 +72,7 @@ pub(crate) fn place(
 
 /// Share of the compared depth that agrees with a pose, 0 to 1, where enough could be compared.
 pub(crate) fn agreement(pool: &MemoryPool, observation: &Observation, pose: &Isometry3<f64>) -> Option<f64> {
-    const MIN_OVERLAP: usize = 20;
-    let found = agreement_with_memory(pool, observation, pose);
-    (found.overlap >= MIN_OVERLAP).then_some(found.inlier_share)
+    agreement_with_memory(pool, observation, pose).known_share()
 }
 
 /// Pose of an observation without a guess, by descriptors.

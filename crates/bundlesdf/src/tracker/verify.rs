@@ -13,6 +13,16 @@ pub(crate) struct Agreement {
     pub(crate) inlier_share: f64,
 }
 
+impl Agreement {
+    /// With less common surface than this (sample points) the depth says nothing for or against.
+    const MIN_OVERLAP: usize = 20;
+
+    /// The share of agreement, where enough could be compared to say so.
+    pub(crate) fn known_share(&self) -> Option<f64> {
+        (self.overlap >= Self::MIN_OVERLAP).then_some(self.inlier_share)
+    }
+}
+
 /// Projects `from`'s sample points into `to` (`to_from` maps camera to camera) and compares depth: within `tolerance`
 /// metres counts as agreement.
 pub(crate) fn depth_agreement(
