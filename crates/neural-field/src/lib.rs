@@ -19,6 +19,7 @@
 //!     color: vec![[128; 3]; n],
 //!     depth: (0..n).map(|i| if object(i) { 0.5 } else { 0.0 }).collect(),
 //!     mask: (0..n).map(|i| u8::from(object(i))).collect(),
+//!     mask_margin: 0.5,
 //! };
 //! let config = FieldConfig { steps: 60, ..FieldConfig::realtime() };
 //! let field = train(&config, &[Arc::new(frame)], &[Isometry3::identity()], &Control::default())?;
@@ -78,6 +79,7 @@ mod real;
 mod round;
 mod sampler;
 mod sight;
+mod silhouette;
 mod simd;
 mod tile;
 mod train;
