@@ -15,6 +15,8 @@ pub(crate) struct Cues<'a> {
     pub(crate) surface: Option<&'a Surface>,
     /// What the space around the object says of every cell's point, see [`crate::volume::Volume::testimony`].
     pub(crate) space: Option<&'a [f32]>,
+    /// How far the pose can be trusted, 0..1.
+    pub(crate) confidence: f32,
     /// After the pose: the model decides where it covers.
     pub(crate) refined: bool,
 }
@@ -44,21 +46,22 @@ pub(crate) fn unaries(cues: &Cues<'_>, options: &Options, focal: f32) -> Unaries
     let (mut total, mut evidence, mut colors) =
         (Vec::with_capacity(n), Vec::with_capacity(n), Vec::with_capacity(n));
     let pixel = grid.window.step as f32 / focal;
-    let trust_in_space = if cues.refined { 1.0 } else { 0.6 };
+    let trust_in_space = cues.confidence * if cues.refined { 1.0 } else { 0.75 };
     for i in 0..n {
         let (z, habit) = (grid.depth[i], habit[i]);
         let reference = reference(cues, to_object.seed[i]);
         let near = band(z, reference) == Band::Near;
         let color = cues.view.color[usize::from(!near)][i];
+        let space = cues.space.map_or(0.0, |s| s[i]) * trust_in_space;
         let mut layering = layering(z, reference, to_object.distance[i] * pixel);
         let mut place = place(to_object.distance[i], to_outside.distance[i]);
-        if habit.is_new && near && color > 0.0 && habit.held < KNOWN {
-            // It may be a part of the object that has come into view: those are where nothing was known.
+        if near && color > 0.0 && habit.held < KNOWN && space > -0.5 {
+            // It may be a part of the object that has come into view, now or a while ago: those are where nothing
+            // else is known to be.
             layering /= 1.0 + color;
             place *= 0.4;
         }
         let model = cues.surface.map_or(0.0, |s| testimony(s, z, i, cues.refined, color, options));
-        let space = cues.space.map_or(0.0, |s| s[i]) * trust_in_space;
         // What has the colours of the hand may have been taken for the object before: being where the object was
         // seen to be then speaks for less, unless it was long seen there or already in the first frame.
         let memory = habit.object + model + space;

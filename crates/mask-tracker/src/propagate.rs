@@ -193,7 +193,9 @@ impl Propagate {
                 weigh_space(&mut space, |i| view.in_view[i]);
                 space
             });
-            let cues = Cues { view, surface: surface.as_ref(), space: space.as_deref(), refined };
+            // Written so that a NaN is no confidence.
+            let confidence = prior.confidence.max(0.0).min(1.0);
+            let cues = Cues { view, surface: surface.as_ref(), space: space.as_deref(), confidence, refined };
             unaries(&cues, &self.options, 0.5 * (camera.fx + camera.fy))
         });
         let labels = self.clock.time(Stage::Cut, || {
@@ -210,9 +212,10 @@ impl Propagate {
         }
         let seen = area as f32 / everything.max(1) as f32;
         let coverage = area as f32 / visible.max(1) as f32;
+        // All of it may come back into view at once, but not much more than that.
         let confidence = verified as f32 / area.max(1) as f32
             * ((seen - 0.02) / 0.2).clamp(0.0, 1.0)
-            * (2.0 / coverage.max(1e-3)).min(1.0);
+            * (2.0 / seen.max(1e-3)).min(1.0);
         Some(Found { labels, evidence, color, confidence, coverage })
     }
 
