@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::grid::Color;
+use crate::math::ln_positive;
 
 const LUMA: usize = 16;
 const CHROMA: usize = 24;
@@ -17,15 +18,18 @@ pub(crate) struct Histogram {
     filled: bool,
 }
 
+/// A colour's place in the histograms.
+pub(crate) type Bin = u16;
+
 #[inline]
-fn bin(c: Color) -> usize {
-    let axis =
-        |v: f32, width: f32, offset: f32, bins: usize| ((v / width + offset).max(0.0) as usize).min(bins - 1);
+pub(crate) fn bin(c: Color) -> Bin {
+    // Casts of negative numbers give 0.
+    let axis = |v: f32, scale: f32, offset: f32, bins: usize| ((v * scale + offset) as usize).min(bins - 1);
     let half = CHROMA as f32 * 0.5;
-    let y = axis(c[0], 16.0, 0.0, LUMA);
-    let a = axis(c[1], 12.0, half, CHROMA);
-    let b = axis(c[2], 12.0, half, CHROMA);
-    (y * CHROMA + a) * CHROMA + b
+    let y = axis(c[0], 1.0 / 16.0, 0.0, LUMA);
+    let a = axis(c[1], 1.0 / 12.0, half, CHROMA);
+    let b = axis(c[2], 1.0 / 12.0, half, CHROMA);
+    ((y * CHROMA + a) * CHROMA + b) as Bin
 }
 
 impl Histogram {
@@ -33,19 +37,21 @@ impl Histogram {
         Self { density: vec![0.0; BINS], filled: false }
     }
 
-    pub(crate) fn from_colors(colors: impl Iterator<Item = Color>) -> Self {
-        let mut density = vec![0.0f32; BINS];
-        let mut count = 0usize;
-        for c in colors {
-            density[bin(c)] += 1.0;
-            count += 1;
+    pub(crate) fn count(&mut self, bin: Bin) {
+        if let Some(density) = self.density.get_mut(usize::from(bin)) {
+            *density += 1.0;
+            self.filled = true;
         }
-        if count > 0 {
-            let scale = 1.0 / count as f32;
-            density.iter_mut().for_each(|d| *d *= scale);
-            smooth(&mut density);
+    }
+
+    /// Densities from the counts, smoothed.
+    pub(crate) fn normalised(mut self) -> Self {
+        if self.filled {
+            let scale = 1.0 / self.density.iter().sum::<f32>();
+            self.density.iter_mut().for_each(|d| *d *= scale);
+            smooth(&mut self.density);
         }
-        Self { density, filled: count > 0 }
+        self
     }
 
     /// Moves towards `other` by `rate`; an empty histogram on either side changes nothing or is replaced.
@@ -63,19 +69,22 @@ impl Histogram {
     }
 }
 
-/// Binomial filter (1 2 1)/4 along each axis of the histogram.
+/// Binomial filter (1 2 1)/4 along each axis of the histogram; its ends repeat.
 fn smooth(density: &mut [f32]) {
+    fn add(to: &mut [f32], from: &[f32], weight: f32) {
+        to.iter_mut().zip(from).for_each(|(to, from)| *to += weight * from);
+    }
+    let mut from = vec![0.0; density.len()];
     for (stride, size) in [(1, CHROMA), (CHROMA, CHROMA), (CHROMA * CHROMA, LUMA)] {
-        for start in 0..BINS / size {
-            let base = start / stride * (stride * size) + start % stride;
-            let mut before = density[base];
-            for k in 0..size {
-                let i = base + k * stride;
-                let here = density[i];
-                let after = if k + 1 < size { density[i + stride] } else { here };
-                density[i] = 0.25 * before + 0.5 * here + 0.25 * after;
-                before = here;
-            }
+        let all = stride * size;
+        let inner = all - stride;
+        from.copy_from_slice(density);
+        density.iter_mut().for_each(|d| *d *= 0.5);
+        for (to, from) in density.chunks_exact_mut(all).zip(from.chunks_exact(all)) {
+            add(&mut to[..stride], &from[..stride], 0.25);
+            add(&mut to[stride..], &from[..inner], 0.25);
+            add(&mut to[..inner], &from[stride..], 0.25);
+            add(&mut to[inner..], &from[inner..], 0.25);
         }
     }
 }
@@ -110,11 +119,11 @@ impl Anchored {
         self.recent.filled
     }
 
-    fn at_bin(&self, k: usize) -> f32 {
-        match (self.anchor.filled, self.recent.filled) {
-            (true, true) => 0.5 * (self.anchor.density[k] + self.recent.density[k]),
-            _ => self.recent.density[k],
-        }
+    /// Logarithm of every bin's density.
+    fn logarithms(&self) -> Vec<f32> {
+        let both = if self.anchor.filled { 0.5 } else { 0.0 };
+        let density = self.anchor.density.iter().zip(&self.recent.density);
+        density.map(|(a, r)| ln_positive(both * a + (1.0 - both) * r + FLOOR)).collect()
     }
 }
 
@@ -185,37 +194,34 @@ impl Appearance {
     }
 
     fn tabulate(&mut self) {
+        let object = self.object.logarithms();
         self.table = [Band::Near, Band::Far].map(|band| {
             let background = self.against(band);
-            let known = self.object.filled() && background.filled();
-            let ratio = |k| {
-                let odds = (self.object.at_bin(k) + FLOOR) / (background.at_bin(k) + FLOOR);
-                if known { odds.ln().clamp(-3.0, 3.0) } else { 0.0 }
-            };
-            (0..BINS).map(ratio).collect()
+            if !(self.object.filled() && background.filled()) {
+                return vec![0.0; BINS];
+            }
+            let ratios = object.iter().zip(background.logarithms());
+            ratios.map(|(object, background)| (object - background).clamp(-3.0, 3.0)).collect()
         });
     }
 
     /// Measures how well colour separates the two labels of a trusted frame, against each band's background.
-    pub(crate) fn grade(
-        &mut self,
-        colors: &[Color],
-        labels: &[bool],
-        band: impl Fn(usize) -> Band,
-        rate: f32,
-    ) {
-        for (which, slot) in [(Band::Near, 0), (Band::Far, 1)] {
-            let mut hits = [0u32; 2];
-            let mut counts = [0u32; 2];
-            for (i, (&c, &object)) in colors.iter().zip(labels).enumerate() {
-                if object || band(i) == which {
-                    counts[usize::from(object)] += 1;
-                    hits[usize::from(object)] += u32::from((self.log_ratio(c, which) > 0.0) == object);
-                }
+    pub(crate) fn grade(&mut self, colors: &[Bin], labels: &[bool], band: impl Fn(usize) -> Band, rate: f32) {
+        // By band, then by label.
+        let mut hits = [[0u32; 2]; 2];
+        let mut counts = [[0u32; 2]; 2];
+        for (i, (&c, &object)) in colors.iter().zip(labels).enumerate() {
+            let own = band(i);
+            for which in [Band::Near, Band::Far] {
+                let counted = u32::from(object || own == which);
+                let right = u32::from((self.log_ratio(c, which) > 0.0) == object);
+                counts[which as usize][usize::from(object)] += counted;
+                hits[which as usize][usize::from(object)] += counted * right;
             }
+        }
+        for (model, (hits, counts)) in self.background.iter_mut().zip(hits.iter().zip(&counts)) {
             if counts[0] > 20 && counts[1] > 20 {
                 let share = |k: usize| hits[k] as f32 / counts[k] as f32;
-                let model = &mut self.background[slot];
                 model.accuracy += rate * (0.5 * (share(0) + share(1)) - model.accuracy);
             }
         }
@@ -227,12 +233,14 @@ impl Appearance {
     }
 
     /// `ln p(colour | object) / p(colour | background in the band)`, within +-3; 0 when a model is missing.
-    pub(crate) fn log_ratio(&self, c: Color, band: Band) -> f32 {
-        self.table[band as usize][bin(c)]
+    #[inline]
+    pub(crate) fn log_ratio(&self, c: Bin, band: Band) -> f32 {
+        self.table[band as usize].get(usize::from(c)).copied().unwrap_or(0.0)
     }
 
     /// [`Appearance::log_ratio`] against background anywhere.
-    pub(crate) fn log_ratio_anywhere(&self, c: Color) -> f32 {
+    #[inline]
+    pub(crate) fn log_ratio_anywhere(&self, c: Bin) -> f32 {
         self.log_ratio(c, Band::Near).min(self.log_ratio(c, Band::Far))
     }
 }
@@ -244,11 +252,16 @@ mod tests {
 
     #[test]
     fn smoothing_keeps_the_sum_and_colours_are_told_apart() {
-        let red = opponent([200.0, 40.0, 40.0]);
-        let blue = opponent([40.0, 40.0, 200.0]);
-        let object = Histogram::from_colors(std::iter::repeat_n(red, 50));
+        let red = bin(opponent([200.0, 40.0, 40.0]));
+        let blue = bin(opponent([40.0, 40.0, 200.0]));
+        let counted = |bin: Bin| {
+            let mut histogram = Histogram::empty();
+            (0..50).for_each(|_| histogram.count(bin));
+            histogram.normalised()
+        };
+        let object = counted(red);
         assert!((object.density.iter().sum::<f32>() - 1.0).abs() < 1e-4);
-        let blues = Histogram::from_colors(std::iter::repeat_n(blue, 50));
+        let blues = counted(blue);
         let model = Appearance::start(FrameColors { object, background: [Histogram::empty(), blues] });
         assert!(model.log_ratio(red, Band::Far) > 2.0 && model.log_ratio(blue, Band::Far) < -2.0);
         assert!(model.log_ratio(blue, Band::Near) < -2.0);

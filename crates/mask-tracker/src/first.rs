@@ -5,8 +5,8 @@ use std::collections::BinaryHeap;
 
 use rgbd_io::{Mask, RgbdFrame};
 
-use crate::appearance::Appearance;
-use crate::energy::{cut, edges};
+use crate::appearance::{Appearance, bin};
+use crate::cut::{Edges, cut};
 use crate::grid::{Bounds, EMPTY_BOUNDS, Grid, Window, color_distance2, depth_noise, include};
 use crate::memory::{band, frame_colors, object_depth};
 use crate::upsample::upsample;
@@ -58,13 +58,13 @@ pub fn first_mask(frame: &RgbdFrame, hints: &Hints) -> Option<Mask> {
     };
     let mut labels: Vec<bool> =
         (0..window.len()).map(|i| fixed[i] > 0.0 || (fixed[i] == 0.0 && place[i] > 0.0)).collect();
-    let edges = edges(&grid, SMOOTHNESS);
+    let edges = Edges::new(&grid, SMOOTHNESS);
     for _ in 0..ROUNDS {
         let evidence = evidence(&grid, &labels);
         let total: Vec<f32> = (0..window.len())
             .map(|i| if fixed[i] == 0.0 { evidence[i] + 0.5 * place[i] } else { fixed[i] })
             .collect();
-        let next = cut(&grid, &edges, &total);
+        let next = cut(&edges, &total);
         if next == labels || !next.contains(&true) {
             break;
         }
@@ -150,11 +150,12 @@ fn fixed_cells(grid: &Grid, rectangle: Bounds, hints: &Hints) -> Vec<f32> {
 fn evidence(grid: &Grid, labels: &[bool]) -> Vec<f32> {
     const DEPTH_FLOOR: f32 = 2e-3;
     let reference = object_depth(grid, labels);
-    let appearance = Appearance::start(frame_colors(grid, labels, &reference, |_| true));
+    let bins: Vec<_> = grid.colors().map(bin).collect();
+    let appearance = Appearance::start(frame_colors(grid, &bins, labels, &reference, |_| true));
     let depths = [false, true].map(|object| depth_density(grid, |i| labels[i] == object));
     (0..labels.len())
         .map(|i| {
-            let color = appearance.log_ratio(grid.color[i], band(grid.depth[i], reference[i]));
+            let color = appearance.log_ratio(bins[i], band(grid.depth[i], reference[i]));
             let depth = depth_bin(grid.depth[i]).map_or(0.0, |bin| {
                 let density = |k: usize| depths[k].get(bin).copied().unwrap_or(0.0) + DEPTH_FLOOR;
                 (density(1) / density(0)).ln().clamp(-3.0, 3.0)
@@ -300,7 +301,7 @@ fn distances(grid: &Grid, seeds: &[usize], focal: f32, reach: f32, crossing: f32
             } else {
                 0.0
             };
-            let edge = color_distance2(grid.color[i], grid.color[j]).sqrt() / 60.0;
+            let edge = color_distance2(grid.color(i), grid.color(j)).sqrt() / 60.0;
             let next = here + width * (1.0 + edge.min(3.0)) + 20.0 * step + crossing * edge.min(2.0).powi(2);
             if next < distance[j] {
                 distance[j] = next;

@@ -2,6 +2,8 @@
 
 use rgbd_io::{Intrinsics, RgbdFrame};
 
+use crate::math::floor;
+
 /// Opponent colour: luminance and two chroma axes, all in about 0..255 units. Shading moves the first axis most,
 /// which is why [`color_distance2`] trusts it least.
 pub(crate) type Color = [f32; 3];
@@ -51,7 +53,10 @@ impl Camera {
 
     #[inline]
     pub(crate) fn project(&self, p: [f32; 3]) -> Option<[f32; 2]> {
-        (p[2] > 1e-3).then(|| [self.fx * p[0] / p[2] + self.cx, self.fy * p[1] / p[2] + self.cy])
+        (p[2] > 1e-3).then(|| {
+            let inverse = 1.0 / p[2];
+            [self.fx * p[0] * inverse + self.cx, self.fy * p[1] * inverse + self.cy]
+        })
     }
 
     #[inline]
@@ -114,16 +119,21 @@ impl Window {
     #[inline]
     pub(crate) fn cell(&self, u: f32, v: f32) -> (i32, i32) {
         let scale = 1.0 / self.step as f32;
-        (
-            ((u + 0.5 - self.x0 as f32) * scale).floor() as i32,
-            ((v + 0.5 - self.y0 as f32) * scale).floor() as i32,
-        )
+        (floor((u + 0.5 - self.x0 as f32) * scale), floor((v + 0.5 - self.y0 as f32) * scale))
     }
 
     #[inline]
     pub(crate) fn index(&self, cell: (i32, i32)) -> Option<usize> {
         (cell.0 >= 0 && cell.1 >= 0 && (cell.0 as usize) < self.w && (cell.1 as usize) < self.h)
             .then(|| cell.1 as usize * self.w + cell.0 as usize)
+    }
+
+    /// Pixel coordinates of the cells' centres, in their order.
+    pub(crate) fn centers(&self) -> impl Iterator<Item = (f32, f32)> {
+        let Self { x0, y0, step, w, h } = *self;
+        let half = 0.5 * (step as f32 - 1.0);
+        let at = move |origin: usize, cell: usize| (origin + cell * step) as f32 + half;
+        (0..h).flat_map(move |y| (0..w).map(move |x| (at(x0, x), at(y0, y))))
     }
 
     /// Pixel coordinates of the centre of cell `i`.
@@ -137,7 +147,8 @@ impl Window {
 /// Mean colour and a representative depth of every cell of a window.
 pub(crate) struct Grid {
     pub(crate) window: Window,
-    pub(crate) color: Vec<Color>,
+    /// One plane for each axis of [`Color`].
+    planes: [Vec<f32>; 3],
     /// The valid depth next to the cell's centre, 0 when the cell has none (no mean: it would invent surface
     /// between foreground and background).
     pub(crate) depth: Vec<f32>,
@@ -145,29 +156,59 @@ pub(crate) struct Grid {
 
 impl Grid {
     pub(crate) fn new(frame: &RgbdFrame, window: Window) -> Self {
-        let mut color = Vec::with_capacity(window.len());
-        let mut depth = Vec::with_capacity(window.len());
         let (width, height) = frame.color.size();
+        let x1 = (window.x0 + window.w * window.step).min(width);
+        let mut planes: [Vec<f32>; 3] = std::array::from_fn(|_| Vec::with_capacity(window.len()));
+        let mut depth = Vec::with_capacity(window.len());
+        let mut sums: Vec<[u32; 3]> = vec![[0; 3]; window.w];
         for cy in 0..window.h {
             let y0 = window.y0 + cy * window.step;
             let y1 = (y0 + window.step).min(height);
-            for cx in 0..window.w {
-                let x0 = window.x0 + cx * window.step;
-                let x1 = (x0 + window.step).min(width);
-                let mut sum = [0u32; 3];
-                for y in y0..y1 {
-                    for c in frame.color.row(y).get(x0..x1).unwrap_or(&[]) {
-                        sum[0] += u32::from(c[0]);
-                        sum[1] += u32::from(c[1]);
-                        sum[2] += u32::from(c[2]);
+            sums.fill([0; 3]);
+            for y in y0..y1 {
+                let pixels = frame.color.row(y).get(window.x0..x1).unwrap_or(&[]);
+                for (sum, cell) in sums.iter_mut().zip(pixels.chunks(window.step)) {
+                    for c in cell {
+                        *sum = std::array::from_fn(|k| sum[k] + u32::from(c[k]));
                     }
                 }
-                let scale = 1.0 / ((x1 - x0) * (y1 - y0)).max(1) as f32;
-                color.push(opponent(sum.map(|s| s as f32 * scale)));
-                depth.push(cell_depth(frame, x0, y0, x1, y1));
+            }
+            let whole = 1.0 / (window.step * (y1 - y0)).max(1) as f32;
+            for (cx, sum) in sums.iter().enumerate() {
+                let x0 = window.x0 + cx * window.step;
+                let right = (x0 + window.step).min(width);
+                let scale = if right - x0 == window.step {
+                    whole
+                } else {
+                    1.0 / ((right - x0) * (y1 - y0)).max(1) as f32
+                };
+                let color = opponent(sum.map(|s| s as f32 * scale));
+                planes.iter_mut().zip(color).for_each(|(plane, c)| plane.push(c));
+                depth.push(cell_depth(frame, x0, y0, right, y1));
             }
         }
-        Self { window, color, depth }
+        Self { window, planes, depth }
+    }
+
+    #[cfg(test)]
+    pub(crate) fn from_cells(window: Window, color: &[Color], depth: Vec<f32>) -> Self {
+        let planes = std::array::from_fn(|k| color.iter().map(|c| c[k]).collect());
+        Self { window, planes, depth }
+    }
+
+    /// Colour of cell `i`.
+    #[inline]
+    pub(crate) fn color(&self, i: usize) -> Color {
+        [self.planes[0][i], self.planes[1][i], self.planes[2][i]]
+    }
+
+    pub(crate) fn colors(&self) -> impl Iterator<Item = Color> {
+        (0..self.depth.len()).map(|i| self.color(i))
+    }
+
+    /// Colours of the cells of a range, axis by axis.
+    pub(crate) fn color_rows(&self, cells: std::ops::Range<usize>) -> [&[f32]; 3] {
+        self.planes.each_ref().map(|plane| plane.get(cells.clone()).unwrap_or(&[]))
     }
 }
 

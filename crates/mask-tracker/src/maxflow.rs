@@ -1,4 +1,4 @@
-//! Minimum cut on an 8-connected grid: the augmenting-path algorithm with two search trees of Boykov and
+//! Minimum cut on part of an 8-connected grid: the augmenting-path algorithm with two search trees of Boykov and
 //! Kolmogorov, "An experimental comparison of min-cut/max-flow algorithms for energy minimization in vision"
 //! (PAMI 2004), with the timestamp and distance marks of Kolmogorov's thesis.
 
@@ -12,11 +12,10 @@ const TERMINAL: u8 = 8;
 const ORPHAN: u8 = 9;
 const FREE: u8 = 10;
 
-/// A grid graph; cells are stored with a border of one unconnected cell, so that no neighbour is out of range.
-pub(crate) struct GridCut {
-    w: usize,
-    h: usize,
-    step: [isize; 8],
+/// A graph whose nodes have at most eight neighbours, one in each direction. A node that isn't there is the one after
+/// the last, over whose edges nothing flows.
+pub(crate) struct Graph {
+    neighbours: Vec<[u32; 8]>,
     capacity: Vec<[i32; 8]>,
     /// Residual to a terminal: positive from the source, negative to the sink.
     terminal: Vec<i32>,
@@ -30,13 +29,11 @@ pub(crate) struct GridCut {
     time: u32,
 }
 
-impl GridCut {
-    pub(crate) fn new(w: usize, h: usize) -> Self {
-        let (pw, n) = (w as isize + 2, (w + 2) * (h + 2));
+impl Graph {
+    pub(crate) fn new(nodes: usize) -> Self {
+        let n = nodes + 1;
         Self {
-            w,
-            h,
-            step: OFFSETS.map(|(dx, dy)| dy as isize * pw + dx as isize),
+            neighbours: vec![[nodes as u32; 8]; n],
             capacity: vec![[0; 8]; n],
             terminal: vec![0; n],
             parent: vec![FREE; n],
@@ -50,31 +47,25 @@ impl GridCut {
         }
     }
 
-    fn node(&self, x: usize, y: usize) -> usize {
-        (y + 1) * (self.w + 2) + x + 1
-    }
-
     #[inline]
     fn neighbour(&self, i: usize, d: usize) -> usize {
-        (i as isize + self.step[d]) as usize
+        self.neighbours[i][d] as usize
     }
 
-    /// Preference of cell `(x, y)`: positive for the object (source), negative for the background (sink).
-    pub(crate) fn set_unary(&mut self, x: usize, y: usize, value: i32) {
-        let i = self.node(x, y);
+    /// Preference of node `i`: positive for the object (source), negative for the background (sink).
+    pub(crate) fn set_unary(&mut self, i: usize, value: i32) {
         self.terminal[i] = value;
     }
 
-    /// Cost `weight >= 0` of giving `(x, y)` and its neighbour in direction `d` different labels; both cells must
-    /// lie in the grid.
-    pub(crate) fn set_edge(&mut self, x: usize, y: usize, d: usize, weight: i32) {
-        let i = self.node(x, y);
-        let j = self.neighbour(i, d);
+    /// Cost `weight >= 0` of giving node `i` and its neighbour `j` in direction `d` different labels.
+    pub(crate) fn set_edge(&mut self, i: usize, j: usize, d: usize, weight: i32) {
+        self.neighbours[i][d] = j as u32;
+        self.neighbours[j][7 - d] = i as u32;
         self.capacity[i][d] = weight.max(0);
         self.capacity[j][7 - d] = weight.max(0);
     }
 
-    /// The labels of the minimum cut, row-major: `true` = object.
+    /// The labels of the minimum cut: `true` = object.
     pub(crate) fn solve(mut self) -> Vec<bool> {
         for i in 0..self.terminal.len() {
             if self.terminal[i] != 0 {
@@ -109,14 +100,8 @@ impl GridCut {
                 }
             }
         }
-        let mut labels = Vec::with_capacity(self.w * self.h);
-        for y in 0..self.h {
-            for x in 0..self.w {
-                let i = self.node(x, y);
-                labels.push(self.parent[i] != FREE && !self.sink_side[i]);
-            }
-        }
-        labels
+        let nodes = self.terminal.len() - 1;
+        (0..nodes).map(|i| self.parent[i] != FREE && !self.sink_side[i]).collect()
     }
 
     fn activate(&mut self, i: usize) {
@@ -303,14 +288,15 @@ mod tests {
             edges in prop::collection::vec(0i32..12, 48),
         ) {
             let (w, h) = (4, 3);
-            let mut cut = GridCut::new(w, h);
+            let mut cut = Graph::new(w * h);
             for y in 0..h {
                 for x in 0..w {
-                    cut.set_unary(x, y, unary[y * w + x]);
+                    let i = y * w + x;
+                    cut.set_unary(i, unary[i]);
                     for (k, d) in (4..8).enumerate() {
                         let (nx, ny) = (x as i32 + OFFSETS[d].0, y as i32 + OFFSETS[d].1);
                         if nx >= 0 && ny >= 0 && (nx as usize) < w && (ny as usize) < h {
-                            cut.set_edge(x, y, d, edges[(y * w + x) * 4 + k]);
+                            cut.set_edge(i, ny as usize * w + nx as usize, d, edges[i * 4 + k]);
                         }
                     }
                 }

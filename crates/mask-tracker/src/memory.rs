@@ -3,11 +3,13 @@
 use nalgebra::{Isometry3, Vector3};
 use rgbd_io::Mask;
 
-use crate::appearance::{Band, FrameColors, Histogram};
+use crate::appearance::{Band, Bin, FrameColors, Histogram};
 use crate::distance::nearest;
 use crate::grid::{Bounds, Camera, EMPTY_BOUNDS, Grid, Window, include};
+use crate::math::Rigid;
+use crate::surface::{extreme, smaller};
 use crate::volume::Volume;
-use crate::warp::{Sample, moved};
+use crate::warp::Sample;
 
 /// The object as last seen.
 pub(crate) struct Memory {
@@ -71,19 +73,21 @@ pub(crate) fn object_depth(grid: &Grid, labels: &[bool]) -> Vec<f32> {
     object.seed.iter().map(|&seed| grid.depth.get(seed as usize).copied().unwrap_or(0.0)).collect()
 }
 
-/// Takes cells off the outline that lie much farther than the object inside of it: masks are a pixel or two off, and
-/// one cell of the wall that counts as object would make the wall's depth plausible.
+/// Takes cells off the outline that lie much farther than the object inside of it, or, on parts so thin that they are
+/// all outline, than the part itself: masks are a pixel or two off, and one cell of the wall that counts as object
+/// would make the wall's depth plausible.
 pub(crate) fn trim_outline(grid: &Grid, labels: &mut [bool]) {
     const OUTLINE: f32 = 2.5;
     let (w, h) = (grid.window.w, grid.window.h);
     let to_outside = nearest(w, h, |i| !labels[i]);
     let inner = nearest(w, h, |i| labels[i] && to_outside.distance[i] > OUTLINE && grid.depth[i] > 0.0);
-    for i in 0..labels.len() {
-        let Some(&z) = grid.depth.get(inner.seed[i] as usize) else { continue };
-        let outline = to_outside.distance[i] <= OUTLINE && inner.distance[i] <= 2.0 * OUTLINE;
-        if labels[i] && outline && grid.depth[i] > z + NEAR {
-            labels[i] = false;
-        }
+    let object =
+        (0..labels.len()).map(|i| if labels[i] && grid.depth[i] > 0.0 { grid.depth[i] } else { f32::MAX });
+    let nearby = extreme(&object.collect::<Vec<_>>(), (w, h), OUTLINE as usize + 1, smaller);
+    for i in (0..labels.len()).filter(|&i| to_outside.distance[i] <= OUTLINE) {
+        let inside = grid.depth.get(inner.seed[i] as usize).filter(|_| inner.distance[i] <= 2.0 * OUTLINE);
+        let reference = inside.copied().unwrap_or(nearby[i]);
+        labels[i] = labels[i] && grid.depth[i] <= reference + NEAR;
     }
 }
 
@@ -91,51 +95,57 @@ pub(crate) fn trim_outline(grid: &Grid, labels: &mut [bool]) {
 /// and teach neither. `reference` is the depth of the object next to each cell.
 pub(crate) fn frame_colors(
     grid: &Grid,
+    colors: &[Bin],
     labels: &[bool],
     reference: &[f32],
     teaches: impl Fn(usize) -> bool,
 ) -> FrameColors {
     let (w, h) = (grid.window.w, grid.window.h);
-    let on_outline = |i: usize| {
-        let (x, y) = (i % w, i / w);
-        let differs = |j: usize| labels[j] != labels[i];
-        (x > 0 && differs(i - 1))
-            || (x + 1 < w && differs(i + 1))
-            || (y > 0 && differs(i - w))
-            || (y + 1 < h && differs(i + w))
-    };
-    let colors = |which: Option<Band>| {
-        let cells = (0..labels.len()).filter(|&i| {
-            labels[i] == which.is_none()
-                && which.is_none_or(|b| band(grid.depth[i], reference[i]) == b)
-                && teaches(i)
-                && !on_outline(i)
-        });
-        Histogram::from_colors(cells.map(|i| grid.color[i]))
-    };
-    FrameColors { object: colors(None), background: [colors(Some(Band::Near)), colors(Some(Band::Far))] }
+    let nothing = Histogram::empty;
+    let mut frame = FrameColors { object: nothing(), background: [nothing(), nothing()] };
+    for y in 0..h {
+        for x in 0..w {
+            let i = y * w + x;
+            let differs = |j: usize| labels[j] != labels[i];
+            let on_outline = (x > 0 && differs(i - 1))
+                || (x + 1 < w && differs(i + 1))
+                || (y > 0 && differs(i - w))
+                || (y + 1 < h && differs(i + w));
+            if on_outline || !teaches(i) {
+                continue;
+            }
+            if labels[i] {
+                frame.object.count(colors[i]);
+            } else {
+                frame.background[band(grid.depth[i], reference[i]) as usize].count(colors[i]);
+            }
+        }
+    }
+    let FrameColors { object, background } = frame;
+    FrameColors { object: object.normalised(), background: background.map(Histogram::normalised) }
 }
 
-/// Lifts every cell to 3-D; one without depth borrows it from the nearest cell of its side that has one.
-pub(crate) fn lift(grid: &Grid, camera: &Camera, labels: &[bool]) -> Vec<(Sample, usize)> {
+/// Lifts every cell to 3-D; one without depth borrows it from the nearest cell of its side that has one. `reference`
+/// is the depth of the object next to each cell.
+pub(crate) fn lift(grid: &Grid, camera: &Camera, labels: &[bool], reference: &[f32]) -> Vec<Sample> {
     let (w, h) = (grid.window.w, grid.window.h);
-    let object = nearest(w, h, |i| labels[i] && grid.depth[i] > 0.0);
     let background = nearest(w, h, |i| !labels[i] && grid.depth[i] > 0.0);
-    (0..labels.len())
-        .map(|i| {
-            let measured = grid.depth[i] > 0.0;
-            let seed = if labels[i] { object.seed[i] } else { background.seed[i] };
-            let z = grid.depth.get(seed as usize).copied().unwrap_or(1.0);
-            let (u, v) = grid.window.center(i);
-            let sample = Sample {
-                point: camera.unproject(u, v, z),
-                color: grid.color[i],
+    let cells = grid.window.centers().enumerate();
+    cells
+        .map(|(i, (u, v))| {
+            let z = if labels[i] {
+                reference[i]
+            } else {
+                grid.depth.get(background.seed[i] as usize).copied().unwrap_or(0.0)
+            };
+            Sample {
+                point: camera.unproject(u, v, if z > 0.0 { z } else { 1.0 }),
+                color: grid.color(i),
                 object: labels[i],
-                measured,
+                measured: grid.depth[i] > 0.0,
                 hidden: 0,
                 trust: 1.0,
-            };
-            (sample, i)
+            }
         })
         .collect()
 }
@@ -143,11 +153,11 @@ pub(crate) fn lift(grid: &Grid, camera: &Camera, labels: &[bool]) -> Vec<(Sample
 /// The moved sample and its cell, if something in front of it keeps it out of view.
 pub(crate) fn still_hidden(
     s: &Sample,
-    motion: &Isometry3<f32>,
+    motion: &Rigid,
     (grid, camera, labels): (&Grid, &Camera, &[bool]),
     in_front: f32,
 ) -> Option<(Sample, usize)> {
-    let p = moved(s.point, motion);
+    let p = motion.apply(s.point);
     let [u, v] = camera.project(p)?;
     let i = grid.window.index(grid.window.cell(u, v))?;
     let z = grid.depth[i];

@@ -3,9 +3,11 @@
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use rgbd_io::{Image, Mask, RgbdFrame};
 
-use crate::appearance::{Appearance, Band};
-use crate::energy::{Cues, KNOWN, Unaries, cut, edges, keep_connected, unaries};
+use crate::appearance::{Appearance, Band, bin};
+use crate::cut::cut;
+use crate::energy::{Cues, KNOWN, Unaries, keep_connected, unaries};
 use crate::grid::{Bounds, Camera, Grid, Window};
+use crate::math::Rigid;
 use crate::memory::{
     Memory, band, center, frame_colors, lift, mask_bounds, mask_cells, object_depth, still_hidden,
     trim_outline,
@@ -13,9 +15,10 @@ use crate::memory::{
 use crate::redetect;
 use crate::stages::{Clock, Stage, StageTimes};
 use crate::surface::Surface;
-use crate::upsample::upsample;
+use crate::upsample::{update, upsample};
+use crate::view::{Moved, View};
 use crate::volume::Volume;
-use crate::warp::{Layer, Sample, align, bounds, moved, trimmed_bounds};
+use crate::warp::{Sample, align, bounds, moved, trimmed_bounds};
 use crate::{Prior, Segmentation, VideoSegmenter};
 
 /// Settings of [`Propagate`]; the defaults suit consumer depth cameras and objects of 3 cm to 50 cm.
@@ -67,8 +70,7 @@ pub struct Propagate {
 
 /// The current frame between `next` and `refine`.
 struct Work {
-    grid: Grid,
-    edges: Vec<[i32; 8]>,
+    view: View,
     motion: Isometry3<f32>,
     /// How badly the moved samples agree with the image, about 0..1.
     mismatch: f32,
@@ -80,11 +82,9 @@ struct Work {
 /// Outcome of one minimisation.
 struct Found {
     labels: Vec<bool>,
-    object: Layer,
     evidence: Vec<f32>,
     /// Weighted colour log-likelihood ratio.
     color: Vec<f32>,
-    held: Vec<f32>,
     confidence: f32,
     /// Object cells over visible predicted cells.
     coverage: f32,
@@ -135,7 +135,8 @@ impl Propagate {
         let margin = 12.0 + 0.3 * (region[2] - region[0]).max(region[3] - region[1]).min(400.0);
         let window = Window::around(region, margin, size, self.options.max_cells)?;
         let grid = self.clock.time(Stage::Grid, || Grid::new(frame, window));
-        let log_ratio: Vec<f32> = grid.color.iter().map(|&c| self.appearance.log_ratio_anywhere(c)).collect();
+        let bins: Vec<_> = grid.colors().map(bin).collect();
+        let log_ratio: Vec<f32> = bins.iter().map(|&c| self.appearance.log_ratio_anywhere(c)).collect();
         let reach = (margin / window.step as f32) as i32;
         let posed = prior.cam_from_obj.is_some() && memory.cam_from_obj.is_some();
         let radius = if posed { reach / 2 } else { reach }.clamp(3, 28);
@@ -161,66 +162,61 @@ impl Propagate {
             (Some(_), Some(then)) => Some(motion * then.cast::<f32>()),
             (now, _) => now.map(|pose| shift * pose.cast::<f32>()),
         };
-        let edges = self.clock.time(Stage::Cues, || edges(&grid, self.options.smoothness));
-        let found = self.minimise(&grid, &edges, &motion, pose, prior, &camera, false)?;
-        Some(Work { grid, edges, motion, mismatch: lowest, found, camera, size })
+        let view = self.clock.time(Stage::Cues, || {
+            // Samples from a coarser grid cover several cells of this one.
+            let footprint = memory.step.div_ceil(window.step).min(8) as i32;
+            let last = Moved { samples: &memory.samples, motion: &motion, camera: &camera, footprint };
+            View::new(grid, bins, &last, &self.appearance, &self.options)
+        });
+        let found = self.minimise(&view, pose, prior, &camera, false)?;
+        Some(Work { view, motion, mismatch: lowest, found, camera, size })
     }
 
-    #[allow(clippy::too_many_arguments)]
     fn minimise(
         &self,
-        grid: &Grid,
-        edges: &[[i32; 8]],
-        motion: &Isometry3<f32>,
+        view: &View,
         cam_from_obj: Option<Isometry3<f32>>,
         prior: &Prior<'_>,
         camera: &Camera,
         refined: bool,
     ) -> Option<Found> {
         let memory = self.memory.as_ref()?;
-        let (samples, window) = (&memory.samples, &grid.window);
-        let (object, Unaries { total, evidence, color, predicted, held }) =
-            self.clock.time(Stage::Cues, || {
-                // Samples from a coarser grid cover several cells of this one.
-                let size = memory.step.div_ceil(window.step).min(8) as i32;
-                let object = Layer::draw(samples, |s| s.object, motion, camera, window, size);
-                let carried = Layer::draw(samples, |s| !s.object, motion, camera, window, size);
-                let still = Layer::draw(samples, |s| !s.object, &Isometry3::identity(), camera, window, size);
-                let surface = cam_from_obj.and_then(|pose| {
-                    let mut surface = Surface::draw(prior.model, &pose, camera, window, prior.confidence)?;
-                    surface.weigh(grid, |i| object.depth[i] > 0.0);
-                    Some(surface)
-                });
-                let space = cam_from_obj.zip(memory.volume.as_ref()).map(|(pose, volume)| {
-                    let mut space = volume.testimony(grid, camera, &pose);
-                    weigh_space(&mut space, |i| object.depth[i] > 0.0 && object.hidden[i] == 0);
-                    space
-                });
-                let cues = Cues {
-                    grid,
-                    appearance: &self.appearance,
-                    object: &object,
-                    carried: &carried,
-                    still: &still,
-                    surface: surface.as_ref(),
-                    space: space.as_deref(),
-                    refined,
-                };
-                let unaries = unaries(&cues, &self.options, 0.5 * (camera.fx + camera.fy));
-                (object, unaries)
+        let (grid, window) = (&view.grid, &view.grid.window);
+        let Unaries { total, evidence, color, predicted } = self.clock.time(Stage::Cues, || {
+            let surface = cam_from_obj.and_then(|pose| {
+                let mut surface = Surface::draw(prior.model, &pose, camera, window, prior.confidence)?;
+                surface.weigh(grid, |i| view.object.depth[i] > 0.0);
+                Some(surface)
             });
-        let mut labels = self.clock.time(Stage::Cut, || cut(grid, edges, &total));
-        keep_connected(&mut labels, &predicted, window.w, window.h);
-        let area = labels.iter().filter(|&&l| l).count();
-        let visible = (0..window.len()).filter(|&i| object.depth[i] > 0.0 && object.hidden[i] == 0).count();
-        let everything = object.depth.iter().filter(|&&z| z > 0.0).count();
-        let verified = (0..window.len()).filter(|&i| labels[i] && evidence[i] > 0.0).count();
+            let space = cam_from_obj.zip(memory.volume.as_ref()).map(|(pose, volume)| {
+                let mut space = volume.testimony(grid, camera, &pose);
+                weigh_space(&mut space, |i| view.in_view[i]);
+                space
+            });
+            // Written so that a NaN is no confidence.
+            let confidence = prior.confidence.max(0.0).min(1.0);
+            let cues = Cues { view, surface: surface.as_ref(), space: space.as_deref(), confidence, refined };
+            unaries(&cues, &self.options, 0.5 * (camera.fx + camera.fy))
+        });
+        let labels = self.clock.time(Stage::Cut, || {
+            let mut labels = cut(&view.edges, &total);
+            keep_connected(&mut labels, &predicted, window.w, window.h);
+            labels
+        });
+        let (mut area, mut verified, mut visible, mut everything) = (0, 0, 0, 0);
+        for i in 0..window.len() {
+            area += usize::from(labels[i]);
+            verified += usize::from(labels[i] && evidence[i] > 0.0);
+            visible += usize::from(view.in_view[i]);
+            everything += usize::from(view.object.depth[i] > 0.0);
+        }
         let seen = area as f32 / everything.max(1) as f32;
         let coverage = area as f32 / visible.max(1) as f32;
+        // All of it may come back into view at once, but not much more than that.
         let confidence = verified as f32 / area.max(1) as f32
             * ((seen - 0.02) / 0.2).clamp(0.0, 1.0)
-            * (2.0 / coverage.max(1e-3)).min(1.0);
-        Some(Found { labels, object, evidence, color, held, confidence, coverage })
+            * (2.0 / seen.max(1e-3)).min(1.0);
+        Some(Found { labels, evidence, color, confidence, coverage })
     }
 
     fn lost(&mut self, size: (usize, usize), confidence: f32) -> Segmentation {
@@ -232,8 +228,8 @@ impl Propagate {
     }
 
     fn present(&self, work: &Work, threshold: f32) -> bool {
-        let cell = work.grid.window.step * work.grid.window.step;
-        let area = work.found.labels.iter().filter(|&&l| l).count() * cell;
+        let step = work.view.grid.window.step;
+        let area = work.found.labels.iter().filter(|&&l| l).count() * step * step;
         work.found.confidence >= threshold && area >= 16
     }
 
@@ -245,66 +241,61 @@ impl Propagate {
     }
 
     fn learn(&mut self, cam_from_obj: Option<Isometry3<f64>>) {
-        let Some(work) = self.work.take() else { return };
+        let Some(Work { view, found, motion, camera, .. }) = self.work.take() else { return };
         let Some(memory) = &mut self.memory else { return };
+        let (grid, labels) = (&view.grid, &found.labels);
         let old_center = center(&memory.samples);
-        let reference = object_depth(&work.grid, &work.found.labels);
-        let is_far =
-            |i: usize| work.grid.depth[i] > 0.0 && band(work.grid.depth[i], reference[i]) == Band::Far;
-        let mut samples = lift(&work.grid, &work.camera, &work.found.labels);
-        for (s, i) in &mut samples {
-            let before = if work.found.object.depth[*i] > 0.0 { work.found.object.trust[*i] } else { 0.3 };
-            let color = work.found.color[*i];
+        let reference = object_depth(grid, labels);
+        let is_far = |i: usize| grid.depth[i] > 0.0 && band(grid.depth[i], reference[i]) == Band::Far;
+        let mut samples = lift(grid, &camera, labels, &reference);
+        for (i, s) in samples.iter_mut().enumerate() {
+            let before = view.object.sample(&memory.samples, i).map_or(0.3, |s| s.trust);
+            let color = found.color[i];
             // What hasn't long been object and looks like what surrounds it was taken for object by mistake.
             let doubtful = before < 0.6 && color < -1.0;
-            let change = if work.found.evidence[*i] > 0.0 && !doubtful { 0.1 } else { -0.2 };
+            let change = if found.evidence[i] > 0.0 && !doubtful { 0.1 } else { -0.2 };
             // Background that looks like the object may be a part of it that was missed: it must not hold on to
             // its label by its looks alone.
             let doubt = (0.5 + 0.4 * color).clamp(0.0, 1.0);
-            let held = work.found.held[*i].max(if is_far(*i) { 1.0 } else { 0.2 })
+            let held = view.habit[i].held.max(if is_far(i) { 1.0 } else { 0.2 })
                 + if color < -0.3 { 0.1 } else { 0.0 };
             s.trust = if s.object { (before + change).clamp(0.1, 1.0) } else { held.min(1.0 - doubt) };
         }
-        let mut samples: Vec<Sample> = samples.into_iter().map(|(s, _)| s).collect();
         // One hidden sample per cell is enough; the flicker of outlines would pile them up.
-        let mut taken = vec![false; work.grid.window.len()];
+        let mut taken = vec![false; grid.window.len()];
+        let place = (grid, &camera, labels.as_slice());
+        let moved_by = Rigid::new(&motion);
         for s in memory.samples.iter().filter(|s| s.object && s.hidden < self.options.memory_frames) {
-            if let Some((kept, i)) = still_hidden(
-                s,
-                &work.motion,
-                (&work.grid, &work.camera, &work.found.labels),
-                self.options.in_front,
-            ) && !taken[i]
+            if let Some((kept, i)) = still_hidden(s, &moved_by, place, self.options.in_front)
+                && !taken[i]
             {
                 taken[i] = true;
                 samples.push(kept);
             }
         }
         if memory.missing == 0
-            && let (Some(a), Some(p)) = (old_center, old_center.map(|c| moved(c, &work.motion)))
+            && let (Some(a), Some(p)) = (old_center, old_center.map(|c| moved(c, &motion)))
         {
             memory.velocity = Vector3::new(p[0] - a[0], p[1] - a[1], p[2] - a[2]);
         } else {
             memory.velocity = Vector3::zeros();
         }
         memory.samples = samples;
-        memory.step = work.grid.window.step;
+        memory.step = grid.window.step;
         memory.cam_from_obj = cam_from_obj;
         memory.missing = 0;
-        let trusted = work.found.confidence >= self.options.learn_confidence
-            && (0.6..1.5).contains(&work.found.coverage);
+        let trusted =
+            found.confidence >= self.options.learn_confidence && (0.6..1.5).contains(&found.coverage);
         if trusted {
             // What looks like the object may be a part of it that was missed, and new things are uncertain: only
             // what has long been background, or is far from the object, teaches how that looks.
-            let labels = &work.found.labels;
-            let background = |i: usize| work.found.held[i] > KNOWN || is_far(i);
-            let known = |i: usize| if labels[i] { work.found.evidence[i] > 0.0 } else { background(i) };
-            let colors = frame_colors(&work.grid, labels, &reference, known);
-            let band = |i: usize| band(work.grid.depth[i], reference[i]);
-            self.appearance.grade(&work.grid.color, labels, band, 0.1);
+            let background = |i: usize| view.habit[i].held > KNOWN || is_far(i);
+            let known = |i: usize| if labels[i] { found.evidence[i] > 0.0 } else { background(i) };
+            let colors = frame_colors(grid, &view.bins, labels, &reference, known);
+            self.appearance.grade(&view.bins, labels, |i| band(grid.depth[i], reference[i]), 0.1);
             self.appearance.learn(&colors, self.options.learning_rate);
             if let Some(pose) = cam_from_obj {
-                learn_space(memory, &work, &pose.cast());
+                learn_space(memory, &view, &found, &camera, &pose.cast());
             }
         }
     }
@@ -327,9 +318,10 @@ impl VideoSegmenter for Propagate {
         let mut labels = mask_cells(mask, &window);
         trim_outline(&grid, &mut labels);
         let reference = object_depth(&grid, &labels);
-        self.appearance = Appearance::start(frame_colors(&grid, &labels, &reference, |_| true));
-        self.appearance.grade(&grid.color, &labels, |i| band(grid.depth[i], reference[i]), 1.0);
-        let samples = lift(&grid, &camera, &labels).into_iter().map(|(s, _)| s).collect();
+        let bins: Vec<_> = grid.colors().map(bin).collect();
+        self.appearance = Appearance::start(frame_colors(&grid, &bins, &labels, &reference, |_| true));
+        self.appearance.grade(&bins, &labels, |i| band(grid.depth[i], reference[i]), 1.0);
+        let samples = lift(&grid, &camera, &labels, &reference);
         self.memory = Some(Memory {
             samples,
             step: window.step,
@@ -378,7 +370,7 @@ impl VideoSegmenter for Propagate {
         match work {
             Some(work) if self.present(&work, threshold) => {
                 let mask =
-                    self.clock.time(Stage::Upsample, || upsample(frame, &work.grid, &work.found.labels));
+                    self.clock.time(Stage::Upsample, || upsample(frame, &work.view.grid, &work.found.labels));
                 let confidence = work.found.confidence;
                 self.work = Some(work);
                 Segmentation::new(mask, confidence)
@@ -393,6 +385,7 @@ impl VideoSegmenter for Propagate {
             // Straight after `start`: the first frame's pose anchors the motion of the second.
             if let Some(memory) = self.memory.as_mut().filter(|m| m.fresh) {
                 memory.cam_from_obj = prior.cam_from_obj;
+                memory.volume = prior.cam_from_obj.and_then(|pose| anchored(&memory.samples, &pose.cast()));
             }
             return found;
         }
@@ -403,13 +396,19 @@ impl VideoSegmenter for Propagate {
         }
         let Some(work) = self.work.take() else { return found };
         let pose = prior.cam_from_obj.map(|pose| pose.cast());
-        let again = self.minimise(&work.grid, &work.edges, &work.motion, pose, prior, &work.camera, true);
+        let again = self.minimise(&work.view, pose, prior, &work.camera, true);
         let Some(again) = again else { return found };
+        let before = work.found.labels;
         let work = Work { found: again, ..work };
         if !self.present(&work, self.options.min_confidence) {
             return self.lost(size, work.found.confidence);
         }
-        let mask = self.clock.time(Stage::Upsample, || upsample(frame, &work.grid, &work.found.labels));
+        let (grid, labels) = (&work.view.grid, &work.found.labels);
+        let mut mask = found.mask;
+        self.clock.time(Stage::Upsample, || match mask.size() == size {
+            true => update(frame, grid, &before, labels, &mut mask),
+            false => mask = upsample(frame, grid, labels),
+        });
         let confidence = work.found.confidence;
         self.work = Some(work);
         self.commit(prior.cam_from_obj);
@@ -426,8 +425,13 @@ impl VideoSegmenter for Propagate {
 }
 
 /// Carves the space around the object and counts what was seen in it; made with the first trusted pose.
-fn learn_space(memory: &mut Memory, work: &Work, cam_from_obj: &Isometry3<f32>) {
-    let labels = &work.found.labels;
+fn learn_space(
+    memory: &mut Memory,
+    view: &View,
+    found: &Found,
+    camera: &Camera,
+    cam_from_obj: &Isometry3<f32>,
+) {
     if memory.volume.is_none() {
         let obj_from_cam = cam_from_obj.inverse();
         let points = memory.samples.iter().filter(|s| s.object && s.measured);
@@ -435,11 +439,22 @@ fn learn_space(memory: &mut Memory, work: &Work, cam_from_obj: &Isometry3<f32>) 
             Volume::around(points.map(|s| moved(s.point, &obj_from_cam)), moved([0.0; 3], &obj_from_cam));
     }
     if let Some(volume) = &mut memory.volume {
-        let evidence = &work.found.evidence;
-        let (held, color) = (&work.found.held, &work.found.color);
-        let sure = |i: usize| if labels[i] { evidence[i] > 0.0 && color[i] > -1.0 } else { held[i] > KNOWN };
-        volume.learn(&work.grid, &work.camera, cam_from_obj, labels, sure);
+        let Found { labels, evidence, color, .. } = found;
+        let sure = |i: usize| {
+            if labels[i] { evidence[i] > 0.0 && color[i] > -1.0 } else { view.habit[i].held > KNOWN }
+        };
+        volume.learn(&view.grid, camera, cam_from_obj, labels, sure);
     }
+}
+
+/// The space around the object as the first frame shows it.
+fn anchored(samples: &[Sample], cam_from_obj: &Isometry3<f32>) -> Option<Volume> {
+    let obj_from_cam = Rigid::new(&cam_from_obj.inverse());
+    let measured = || samples.iter().filter(|s| s.measured).map(|s| (obj_from_cam.apply(s.point), s.object));
+    let object = measured().filter(|(_, object)| *object).map(|(p, _)| p);
+    let mut volume = Volume::around(object, obj_from_cam.apply([0.0; 3]))?;
+    volume.anchor(measured());
+    Some(volume)
 }
 
 /// A wrong pose puts the object itself into empty space: the more of it that happens to, the less the space says.

@@ -3,7 +3,7 @@
 use nalgebra::{Isometry3, Translation3};
 use rgbd_io::RgbdFrame;
 
-use crate::appearance::Appearance;
+use crate::appearance::{Appearance, bin};
 use crate::grid::{Camera, Grid, Window};
 use crate::warp::{Sample, color_match, image_translation, moved};
 
@@ -24,7 +24,7 @@ pub(crate) fn search(
     let all = [0.0, 0.0, width as f32 - 1.0, height as f32 - 1.0];
     let window = Window::around(all, 0.0, (width, height), CELLS)?;
     let grid = Grid::new(frame, window);
-    let log_ratio: Vec<f32> = grid.color.iter().map(|&c| appearance.log_ratio_anywhere(c)).collect();
+    let log_ratio: Vec<f32> = grid.colors().map(|c| appearance.log_ratio_anywhere(bin(c))).collect();
     let count = samples.iter().filter(|s| s.object).count();
     let mut probes = Vec::with_capacity(PROBES + 1);
     let mut mean = [0.0f32; 3];
@@ -71,7 +71,7 @@ pub(crate) fn search(
                     0.4
                 };
                 let color =
-                    0.5 * color_match(color, grid.color[i]) + 0.5 * (log_ratio[i] / 2.0).clamp(-0.5, 1.0);
+                    0.5 * color_match(color, grid.color(i)) + 0.5 * (log_ratio[i] / 2.0).clamp(-0.5, 1.0);
                 score += color * relief;
             }
             score /= probes.len() as f32;

@@ -4,16 +4,21 @@
 //! Kutulakos and Seitz 2000). Whatever shows up there later, a hand that shifts its grip for instance, is not the
 //! object, however well it moves along and however much it looks like it.
 
-use nalgebra::{Isometry3, Point3};
+use nalgebra::Isometry3;
 use serde::{Deserialize, Serialize};
 
 use crate::grid::{Camera, Grid, depth_noise};
+use crate::math::Rigid;
 
 /// Voxels along each side.
 const SIDE: usize = 64;
 /// Only every so many-th layer is carved in a frame, in turn.
 const TURNS: usize = 4;
 const MOST: u8 = 24;
+/// Times that the first frame, whose labels are given, counts for.
+const CERTAIN: u8 = 10;
+/// Largest preference for a point where the object was seen.
+pub(crate) const MOST_FOR_OBJECT: f32 = 2.5;
 /// Preference of a point outside the cube, which is twice as large as the object looked: a rigid thing doesn't grow.
 const TOO_FAR: f32 = -4.0;
 
@@ -68,40 +73,43 @@ impl Volume {
         self.voxels.len() == SIDE * SIDE * SIDE && self.voxel > 0.0
     }
 
-    fn index(&self, p: [f32; 3]) -> Option<usize> {
-        let mut index = 0;
-        for k in 0..3 {
-            let v = (p[k] - self.corner[k]) / self.voxel;
-            if !(v >= 0.0 && v < SIDE as f32) {
-                return None;
-            }
-            index = index * SIDE + v as usize;
-        }
-        Some(index)
+    /// The voxel at a place in voxels from the cube's corner.
+    #[inline]
+    fn index(v: [f32; 3]) -> Option<usize> {
+        let inside = v.iter().all(|v| *v >= 0.0 && *v < SIDE as f32);
+        inside.then(|| (v[0] as usize * SIDE + v[1] as usize) * SIDE + v[2] as usize)
     }
 
     /// What the voxels say of each cell's point, positive = object, about within +-3; 0 where
     /// nothing is known.
     pub(crate) fn testimony(&self, grid: &Grid, camera: &Camera, cam_from_obj: &Isometry3<f32>) -> Vec<f32> {
-        let obj_from_cam = cam_from_obj.inverse();
-        (0..grid.window.len())
-            .map(|i| {
-                let z = grid.depth[i];
+        let rays = Rays::new(self, camera, cam_from_obj);
+        let cells = grid.window.centers().zip(&grid.depth);
+        cells
+            .map(|(center, &z)| {
                 if z <= 0.0 {
                     return 0.0;
                 }
-                let (u, v) = grid.window.center(i);
-                let p = obj_from_cam * Point3::from(camera.unproject(u, v, z));
-                let Some(voxel) = self.index([p.x, p.y, p.z]).map(|k| self.voxels[k]) else {
+                let Some(voxel) = Self::index(rays.at(center, z)).map(|k| self.voxels[k]) else {
                     return TOO_FAR;
                 };
                 let empty = f32::from(voxel.free) - 2.0 * f32::from(voxel.object);
                 if empty > 1.0 {
                     return -(0.4 * empty).min(3.0);
                 }
-                (0.25 * (f32::from(voxel.object) - 1.5 * f32::from(voxel.other))).clamp(-1.0, 1.0)
+                (0.25 * (f32::from(voxel.object) - 1.5 * f32::from(voxel.other))).clamp(-1.0, MOST_FOR_OBJECT)
             })
             .collect()
+    }
+
+    /// Learns points (object frame) of the first frame, whose labels are certain: `true` = object.
+    pub(crate) fn anchor(&mut self, points: impl Iterator<Item = ([f32; 3], bool)>) {
+        for (p, object) in points {
+            let place = std::array::from_fn(|k| (p[k] - self.corner[k]) / self.voxel);
+            let Some(k) = Self::index(place) else { continue };
+            let voxel = &mut self.voxels[k];
+            if object { voxel.object = CERTAIN } else { voxel.other = CERTAIN }
+        }
     }
 
     /// Learns from a frame whose pose and labels can be trusted.
@@ -114,15 +122,12 @@ impl Volume {
         sure: impl Fn(usize) -> bool,
     ) {
         self.carve(grid, camera, cam_from_obj);
-        let obj_from_cam = cam_from_obj.inverse();
-        for i in 0..grid.window.len() {
-            let z = grid.depth[i];
+        let rays = Rays::new(self, camera, cam_from_obj);
+        for (i, (center, &z)) in grid.window.centers().zip(&grid.depth).enumerate() {
             if z <= 0.0 || !sure(i) {
                 continue;
             }
-            let (u, v) = grid.window.center(i);
-            let p = obj_from_cam * Point3::from(camera.unproject(u, v, z));
-            let Some(k) = self.index([p.x, p.y, p.z]) else { continue };
+            let Some(k) = Self::index(rays.at(center, z)) else { continue };
             let voxel = &mut self.voxels[k];
             if labels[i] {
                 voxel.object = (voxel.object + 1).min(MOST);
@@ -135,28 +140,70 @@ impl Volume {
 
     /// Counts the voxels that the camera looks through.
     fn carve(&mut self, grid: &Grid, camera: &Camera, cam_from_obj: &Isometry3<f32>) {
+        let window = &grid.window;
         let near = nearest_around(grid);
-        let rotation = cam_from_obj.rotation.to_rotation_matrix();
-        let step = rotation.matrix() * self.voxel;
+        let motion = Rigid::new(cam_from_obj);
+        let step = motion.rotate([0.0, 0.0, self.voxel]);
+        let slack = self.voxel + 0.004;
+        let (w, h, scale) = (window.w as u32, window.h as u32, 1.0 / window.step as f32);
+        // A place's column in the window is `(fx x + cx z) / z`, and likewise its row.
+        let (cx, cy) = (camera.cx + 0.5 - window.x0 as f32, camera.cy + 0.5 - window.y0 as f32);
         self.turn = (self.turn + 1) % TURNS;
-        for a in (self.turn..SIDE).step_by(TURNS) {
-            for b in 0..SIDE {
-                let first = [a as f32 + 0.5, b as f32 + 0.5, 0.5];
-                let p: [f32; 3] = std::array::from_fn(|k| self.corner[k] + first[k] * self.voxel);
-                let mut p = cam_from_obj * Point3::from(p);
-                for c in 0..SIDE {
-                    if let Some([u, v]) = camera.project([p.x, p.y, p.z])
-                        && let Some(i) = grid.window.index(grid.window.cell(u, v))
-                        && near[i] > p.z + self.voxel + 0.004 + 2.0 * depth_noise(p.z)
-                    {
-                        let voxel = &mut self.voxels[(a * SIDE + b) * SIDE + c];
-                        voxel.free = (voxel.free + 1).min(MOST);
-                        voxel.object = voxel.object.saturating_sub(1);
-                    }
-                    p += step.column(2);
+        for row in (0..SIDE * SIDE).filter(|row| row / SIDE % TURNS == self.turn) {
+            let first = [(row / SIDE) as f32 + 0.5, (row % SIDE) as f32 + 0.5, 0.5];
+            let p = motion.apply(std::array::from_fn(|k| self.corner[k] + first[k] * self.voxel));
+            let mut cells = [u32::MAX; SIDE];
+            let mut depths = [0.0f32; SIDE];
+            for (c, (cell, depth)) in cells.iter_mut().zip(&mut depths).enumerate() {
+                let [x, y, z]: [f32; 3] = std::array::from_fn(|k| p[k] + c as f32 * step[k]);
+                let inverse = scale / z;
+                let u = (camera.fx * x + cx * z) * inverse;
+                let v = (camera.fy * y + cy * z) * inverse;
+                let inside = z > 1e-3 && u >= 0.0 && v >= 0.0 && u < w as f32 && v < h as f32;
+                // Below 2^24, so that the numbers are exact; else nothing is there.
+                let (u, v) = (if inside { u } else { 0.0 }, if inside { v } else { 0.0 });
+                let index = v as i32 * w as i32 + u as i32;
+                *cell = if inside { index as u32 } else { u32::MAX };
+                *depth = z + slack + 2.0 * depth_noise(z);
+            }
+            for (c, (cell, depth)) in cells.iter().zip(&depths).enumerate() {
+                if near.get(*cell as usize).is_some_and(|near| near > depth) {
+                    let voxel = &mut self.voxels[row * SIDE + c];
+                    voxel.free = (voxel.free + 1).min(MOST);
+                    voxel.object = voxel.object.saturating_sub(1);
                 }
             }
         }
+    }
+}
+
+/// Places of pixels in a volume, in voxels from its corner.
+struct Rays {
+    /// Of the camera's centre.
+    eye: [f32; 3],
+    /// For a depth of one: at pixel (0, 0), and a pixel further along each axis.
+    origin: [f32; 3],
+    along: [[f32; 3]; 2],
+}
+
+impl Rays {
+    fn new(volume: &Volume, camera: &Camera, cam_from_obj: &Isometry3<f32>) -> Self {
+        let obj_from_cam = Rigid::new(&cam_from_obj.inverse());
+        let scaled = |p: [f32; 3]| p.map(|v| v / volume.voxel);
+        let eye = obj_from_cam.apply([0.0; 3]);
+        Self {
+            eye: scaled(std::array::from_fn(|k| eye[k] - volume.corner[k])),
+            origin: scaled(obj_from_cam.rotate(camera.unproject(0.0, 0.0, 1.0))),
+            along: [[1.0 / camera.fx, 0.0, 0.0], [0.0, 1.0 / camera.fy, 0.0]]
+                .map(|d| scaled(obj_from_cam.rotate(d))),
+        }
+    }
+
+    #[inline]
+    fn at(&self, (u, v): (f32, f32), z: f32) -> [f32; 3] {
+        std::array::from_fn(|k| {
+            self.eye[k] + z * (self.origin[k] + u * self.along[0][k] + v * self.along[1][k])
+        })
     }
 }
 

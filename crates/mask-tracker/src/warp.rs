@@ -4,6 +4,7 @@ use nalgebra::{Isometry3, Point3, Translation3};
 use serde::{Deserialize, Serialize};
 
 use crate::grid::{Bounds, Camera, Color, Grid, Window, color_distance2};
+use crate::math::Rigid;
 
 /// One cell of an earlier frame, lifted to the camera frame of the last one.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
@@ -27,8 +28,12 @@ pub(crate) fn moved(p: [f32; 3], motion: &Isometry3<f32>) -> [f32; 3] {
 /// Image bounds of the moved object samples, `None` when none projects. One in a hundred on each side may lie outside:
 /// a few stray samples must not widen the window, and with it coarsen the grid, for good.
 pub(crate) fn bounds(samples: &[Sample], motion: &Isometry3<f32>, camera: &Camera) -> Option<Bounds> {
+    /// Enough samples for the bounds.
+    const ENOUGH: usize = 1500;
+    let motion = Rigid::new(motion);
     let object = samples.iter().filter(|s| s.object);
-    trimmed_bounds(object.filter_map(|s| camera.project(moved(s.point, motion))))
+    let stride = (object.clone().count() / ENOUGH).max(1);
+    trimmed_bounds(object.step_by(stride).filter_map(|s| camera.project(motion.apply(s.point))))
 }
 
 /// Bounds of points, without the outermost hundredth on each side.
@@ -41,13 +46,11 @@ pub(crate) fn trimmed_bounds(points: impl Iterator<Item = [f32; 2]>) -> Option<B
     Some([at(&mut us, outside), at(&mut vs, outside), at(&mut us, last), at(&mut vs, last)])
 }
 
-/// Samples drawn into a window; `depth` 0 where none fell.
+/// Samples drawn into a window.
 pub(crate) struct Layer {
+    /// Depth at the sample's new place, 0 where none fell.
     pub(crate) depth: Vec<f32>,
-    pub(crate) color: Vec<Color>,
-    pub(crate) trust: Vec<f32>,
-    pub(crate) hidden: Vec<u16>,
-    pub(crate) measured: Vec<bool>,
+    source: Vec<u32>,
 }
 
 impl Layer {
@@ -61,16 +64,10 @@ impl Layer {
         window: &Window,
         footprint: i32,
     ) -> Self {
-        let n = window.len();
-        let mut layer = Self {
-            depth: vec![0.0; n],
-            color: vec![[0.0; 3]; n],
-            trust: vec![0.0; n],
-            hidden: vec![0; n],
-            measured: vec![false; n],
-        };
-        for s in samples.iter().filter(|s| keep(s)) {
-            let p = moved(s.point, motion);
+        let motion = Rigid::new(motion);
+        let mut layer = Self { depth: vec![0.0; window.len()], source: vec![u32::MAX; window.len()] };
+        for (k, s) in samples.iter().enumerate().filter(|(_, s)| keep(s)) {
+            let p = motion.apply(s.point);
             let Some([u, v]) = camera.project(p) else { continue };
             let (x, y) = window.cell(u, v);
             let (x0, y0) = (x - (footprint - 1) / 2, y - (footprint - 1) / 2);
@@ -78,10 +75,7 @@ impl Layer {
                 let Some(i) = window.index(cell) else { continue };
                 if layer.depth[i] == 0.0 || p[2] < layer.depth[i] {
                     layer.depth[i] = p[2];
-                    layer.color[i] = s.color;
-                    layer.trust[i] = s.trust;
-                    layer.hidden[i] = s.hidden;
-                    layer.measured[i] = s.measured;
+                    layer.source[i] = k as u32;
                 }
             }
         }
@@ -108,12 +102,15 @@ impl Layer {
                     continue;
                 };
                 self.depth[i] = before[source];
-                self.color[i] = self.color[source];
-                self.trust[i] = self.trust[source];
-                self.hidden[i] = self.hidden[source];
-                self.measured[i] = self.measured[source];
+                self.source[i] = self.source[source];
             }
         }
+    }
+
+    /// The sample drawn at cell `i`; `samples` are those that were drawn.
+    #[inline]
+    pub(crate) fn sample<'a>(&self, samples: &'a [Sample], i: usize) -> Option<&'a Sample> {
+        samples.get(self.source[i] as usize)
     }
 }
 
@@ -143,10 +140,11 @@ pub(crate) fn align(
         return (Translation3::identity(), f32::INFINITY);
     }
     let stride = count.div_ceil(260);
+    let motion = Rigid::new(motion);
     let mut probes = Vec::with_capacity(300);
     let mut mean = [0.0f32; 3];
     for s in samples.iter().filter(|s| s.object && (use_hidden || s.hidden == 0)).step_by(stride) {
-        let p = moved(s.point, motion);
+        let p = motion.apply(s.point);
         if let Some([u, v]) = camera.project(p) {
             let (x, y) = grid.window.cell(u, v);
             probes.push(Probe { x, y, z: if s.measured { p[2] } else { 0.0 }, color: s.color });
@@ -157,18 +155,23 @@ pub(crate) fn align(
         return (Translation3::identity(), f32::INFINITY);
     }
     let mean = mean.map(|m| m / probes.len() as f32);
+    let highest = log_ratio.iter().copied().fold(0.0, f32::max);
+    let cost = |shift: (i32, i32), dz: f32, lowest: f32| {
+        let far = 0.002 * ((shift.0 * shift.0 + shift.1 * shift.1) as f32).sqrt();
+        disagreement(grid, log_ratio, &probes, shift, dz, (lowest - far, highest)) + far
+    };
     let mut best = (0, 0);
     let mut dz = 0.0;
     let mut lowest = f32::INFINITY;
     let passes = [(radius, if radius > 8 { 2 } else { 1 }), (2, 1), (1, 1)];
     for (range, step) in passes {
         let center = best;
-        lowest = f32::INFINITY;
+        // The best so far comes first: the better the lowest cost, the sooner the others are given up.
+        lowest = cost(center, dz, f32::INFINITY);
         for dy in (-range..=range).step_by(step) {
             for dx in (-range..=range).step_by(step) {
                 let shift = (center.0 + dx, center.1 + dy);
-                let far = ((shift.0 * shift.0 + shift.1 * shift.1) as f32).sqrt();
-                let cost = disagreement(grid, log_ratio, &probes, shift, dz) + 0.002 * far;
+                let cost = cost(shift, dz, lowest);
                 if cost < lowest {
                     lowest = cost;
                     best = shift;
@@ -200,29 +203,46 @@ struct Probe {
     color: Color,
 }
 
-fn disagreement(grid: &Grid, log_ratio: &[f32], probes: &[Probe], shift: (i32, i32), dz: f32) -> f32 {
+/// Mean disagreement of the probes, infinite once it is clear that it is larger than `limit`; no log-ratio is above
+/// `highest`.
+fn disagreement(
+    grid: &Grid,
+    log_ratio: &[f32],
+    probes: &[Probe],
+    shift: (i32, i32),
+    dz: f32,
+    (limit, highest): (f32, f32),
+) -> f32 {
+    // No probe's part is less.
+    let least = -0.05 * highest;
+    let n = probes.len() as f32;
     let mut sum = 0.0;
-    for p in probes {
-        let Some(i) = grid.window.index((p.x + shift.0, p.y + shift.1)) else {
-            sum += 0.8;
-            continue;
-        };
-        let z = grid.depth[i];
-        // Something came in front: no evidence for or against this shift, but worse than a match.
-        if z > 0.0 && p.z > 0.0 && z < p.z + dz - 0.03 {
-            sum += 0.35;
-            continue;
+    for (block, some) in probes.chunks(32).enumerate() {
+        let left = n - (block * 32) as f32;
+        if sum + left * least > limit * n {
+            return f32::INFINITY;
         }
-        let color = 1.0 - color_match(p.color, grid.color[i]);
-        let depth = if z > 0.0 && p.z > 0.0 {
-            let r = (z - p.z - dz).abs();
-            r / (r + 0.015)
-        } else {
-            0.4
-        };
-        sum += 0.5 * color + 0.4 * depth - 0.05 * log_ratio[i];
+        sum += some.iter().map(|p| difference(grid, log_ratio, p, shift, dz)).sum::<f32>();
     }
-    sum / probes.len() as f32
+    sum / n
+}
+
+#[inline]
+fn difference(grid: &Grid, log_ratio: &[f32], p: &Probe, shift: (i32, i32), dz: f32) -> f32 {
+    let Some(i) = grid.window.index((p.x + shift.0, p.y + shift.1)) else { return 0.8 };
+    let z = grid.depth[i];
+    // Something came in front: no evidence for or against this shift, but worse than a match.
+    if z > 0.0 && p.z > 0.0 && z < p.z + dz - 0.03 {
+        return 0.35;
+    }
+    let color = 1.0 - color_match(p.color, grid.color(i));
+    let depth = if z > 0.0 && p.z > 0.0 {
+        let r = (z - p.z - dz).abs();
+        r / (r + 0.015)
+    } else {
+        0.4
+    };
+    0.5 * color + 0.4 * depth - 0.05 * log_ratio[i]
 }
 
 fn median_depth_change(grid: &Grid, probes: &[Probe], shift: (i32, i32)) -> f32 {

@@ -204,6 +204,34 @@ fn hidden_completely_is_gone_until_it_shows_again() {
 }
 
 #[test]
+fn hidden_bit_by_bit_until_nothing_is_left_it_is_all_taken_back_at_once() {
+    let object = Some(([0.0, 0.0, 0.9], 0.0));
+    let mut segmenter = Propagate::default();
+    let (frame, mask) = render(&Scene { object, ..Scene::default() }, 0);
+    segmenter.start(&frame, &mask);
+    let mut found_at = None;
+    for k in 1..30 {
+        // A curtain is drawn from the left, so that the last that is seen is a sliver; then it drops.
+        let (mut frame, truth) = render(&Scene { object, ..Scene::default() }, k);
+        let covered = if k < 22 { 44 + 3 * k } else { 0 };
+        for y in 0..SIZE.1 {
+            for x in 0..covered.min(SIZE.0) {
+                frame.depth[(x, y)] = 0.4;
+                frame.color[(x, y)] = [205, 150, 125];
+            }
+        }
+        let found = step(&mut segmenter, &frame, &Prior::default());
+        if k == 21 {
+            assert_eq!(found.area, 0);
+        }
+        if k >= 22 && iou(&found.mask, &truth) > 0.9 {
+            found_at = found_at.or(Some(k));
+        }
+    }
+    assert!(found_at.is_some_and(|k| k <= 23), "{found_at:?}");
+}
+
+#[test]
 fn without_any_depth_colour_carries_on() {
     let mut segmenter = Propagate::default();
     let scene = |k: usize| Scene { object: Some(drifting(k)), ..Scene::default() };

@@ -56,6 +56,10 @@ impl Hand {
         Self { grip, parts }
     }
 
+    pub(crate) fn grip(&self) -> &Grip {
+        &self.grip
+    }
+
     /// The hand's parts at `time` (frames) around the object at `cam_from_obj`, each with `cam_from_part`.
     pub(crate) fn place(
         &self,

@@ -54,6 +54,13 @@ impl Object {
         Self { gloss: Some(gloss), ..self }
     }
 
+    /// The same surface with another texture.
+    #[must_use]
+    pub fn with_texture(&self, texture: &Texture) -> Self {
+        let (shape, gloss, closed) = (self.shape.clone(), self.gloss, self.closed);
+        Self { shape, gloss, closed, ..Self::from_mesh(self.mesh.clone(), texture.clone()) }
+    }
+
     /// The true surface in the object's frame, metres, with vertex normals and colours.
     pub fn mesh(&self) -> &TriMesh {
         &self.mesh

@@ -180,6 +180,41 @@ fn total_occlusion_hides_everything_and_shows_a_known_side_again() {
 }
 
 #[test]
+fn variants_are_other_videos_of_the_same_thing() {
+    for name in ["symmetric", "total-occlusion", "moving-camera"] {
+        let variants: Vec<_> = (0..4).map(|v| quarter(&Sequence::variant(name, v).unwrap())).collect();
+        let suite = quarter(&named(name)).render(0);
+        assert_eq!(suite.frame.color, variants[0].render(0).frame.color);
+        for (a, b) in [(0, 1), (1, 2), (2, 3), (0, 3)] {
+            let [a, b] = [a, b].map(|k: usize| &variants[k]);
+            assert_ne!(a.render(0).frame.color, b.render(0).frame.color, "{name}");
+            assert_ne!(a.mesh().colors, b.mesh().colors, "{name}");
+            assert_eq!(a.mesh().vertices, b.mesh().vertices);
+            assert_eq!(a.len(), b.len());
+        }
+        for s in &variants[1..] {
+            assert!(count(&s.visible_mask(0)) > 200, "{name}");
+            assert!(s.occlusion(0) < 0.5, "{name}: {}", s.occlusion(0));
+        }
+        let again = quarter(&Sequence::variant(name, 2).unwrap());
+        assert_eq!(again.render(40).frame.color, variants[2].render(40).frame.color);
+    }
+    assert!(Sequence::variant("no-such-thing", 1).is_none());
+}
+
+#[test]
+fn a_card_hides_everything_while_it_should() {
+    // Near, far, and with a camera that moves.
+    for name in ["large-near", "small-far", "moving-camera"] {
+        let s = quarter(&named(name)).hidden_between(20.0, 26.0);
+        let seen: Vec<usize> = (0..44).map(|i| count(&s.visible_mask(i))).collect();
+        assert!(seen[20..=26].iter().all(|n| *n == 0), "{name}: {seen:?}");
+        let before = count(&quarter(&named(name)).visible_mask(2));
+        assert!(seen[2] == before && seen[43] * 2 > before, "{name}: {seen:?}");
+    }
+}
+
+#[test]
 fn noisy_masks_are_wrong_by_the_stated_amount() {
     let s = named("noisy-masks");
     let (mut sum, mut frames, mut extra, mut lost) = (0.0, 0.0, 0, 0);

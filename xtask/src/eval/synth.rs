@@ -12,26 +12,34 @@ pub(super) const GIVEN: &str = "given_masks";
 
 /// Names of the suite's sequences below `data`, made if they aren't there yet; all of the suite when `names` is empty.
 pub(crate) fn prepare(names: &[String], data: &Path) -> anyhow::Result<Vec<String>> {
-    let all = || Sequence::suite().map(str::to_owned).collect();
-    let names: Vec<String> = if names.is_empty() { all() } else { names.to_vec() };
-    names.iter().map(|name| make(name, data)).collect()
+    chosen(names).iter().map(|name| make(&variant(name, 0)?, data)).collect()
 }
 
-fn make(name: &str, data: &Path) -> anyhow::Result<String> {
-    let sequence = Sequence::named(name).with_context(|| {
+/// The names asked for; all of the suite when there are none.
+pub(crate) fn chosen(names: &[String]) -> Vec<String> {
+    if names.is_empty() { Sequence::suite().map(str::to_owned).collect() } else { names.to_vec() }
+}
+
+/// A sequence of the suite in one of its make-ups; 0 is the suite's own.
+pub(crate) fn variant(name: &str, number: u64) -> anyhow::Result<Sequence> {
+    Sequence::variant(name, number).with_context(|| {
         let known: Vec<_> = Sequence::suite().collect();
         format!("there is no synthetic sequence {name}; there are {}", known.join(", "))
-    })?;
+    })
+}
+
+/// Writes the sequence below `data` unless it is there; gives the folder's name.
+pub(crate) fn make(sequence: &Sequence, data: &Path) -> anyhow::Result<String> {
     let folder = data.join(sequence.name());
     if !folder.join(COMPLETE).exists() {
         eprintln!("making {}, {} frames", folder.display(), sequence.len());
-        write_custom(&sequence, &folder)?;
+        write_custom(sequence, &folder)?;
         mark(&folder)?;
     }
     let given = folder.join(GIVEN);
     if sequence.spec().mask_faults != MaskFaults::none() && !given.join(COMPLETE).exists() {
         eprintln!("making {}", given.display());
-        write_given_masks(&sequence, &given)?;
+        write_given_masks(sequence, &given)?;
         mark(&given)?;
     }
     Ok(sequence.name().to_owned())

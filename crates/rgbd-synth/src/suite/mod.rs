@@ -4,6 +4,7 @@ mod motions;
 mod objects;
 mod scenes;
 mod solids;
+mod variant;
 
 use crate::{Sequence, SequenceSpec};
 

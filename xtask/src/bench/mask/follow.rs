@@ -1,4 +1,5 @@
-//! One sequence: the true poses stand in for the tracker, the model is fused from the segmenter's own masks.
+//! One sequence: the true poses stand in for the tracker, the model is fused from the segmenter's own masks. What the
+//! tracker wouldn't know isn't told: where the object is while it is out of view, and how it moves at first after that.
 
 use std::path::Path;
 use std::time::Duration;
@@ -34,7 +35,7 @@ pub(super) fn follow(folder: &Path, args: &MaskArgs) -> anyhow::Result<Followed>
     let source = CustomFolder::open(folder, &CustomOptions { masks, ..CustomOptions::default() })?;
     let mut segmenter = Propagate::default();
     let mut model = Fusion::default();
-    let mut poses: Vec<Isometry3<f64>> = Vec::new();
+    let mut known = Known::default();
     let mut areas = Vec::new();
     let mut frames = Vec::new();
     for index in 0..source.len().min(args.frames.unwrap_or(usize::MAX)) {
@@ -45,18 +46,12 @@ pub(super) fn follow(folder: &Path, args: &MaskArgs) -> anyhow::Result<Followed>
             [mm, deg] => disturbed(pose, mm, deg, index),
             _ => pose,
         };
-        // What a tracker would predict: the last step again.
-        let predicted = match poses.as_slice() {
-            [.., a, b] => b * a.inverse() * b,
-            [.., b] => *b,
-            [] => pose,
-        };
-        poses.push(pose);
         areas.push(truth.pixels().iter().filter(|m| **m != 0).count());
         if index == 0 {
             let given = folder.join("masks").join(format!("{}.png", frame.id));
             let first = if given.is_file() { rgbd_io::read_mask(&given)? } else { truth };
             segmenter.start(&frame, &first);
+            known.observe(pose);
             if !args.no_pose {
                 model.add(&frame, &first, &pose);
                 let first = Segmentation::new(first, 1.0);
@@ -65,18 +60,22 @@ pub(super) fn follow(folder: &Path, args: &MaskArgs) -> anyhow::Result<Followed>
             continue;
         }
         let points = model.points();
-        let prior = |pose| {
-            if args.no_pose {
-                Prior::default()
-            } else {
-                Prior { cam_from_obj: Some(pose), model: &points, confidence: 1.0 }
-            }
+        let prior = |pose: Option<Isometry3<f64>>, confidence| match pose {
+            Some(pose) if !args.no_pose => Prior { cam_from_obj: Some(pose), model: &points, confidence },
+            _ => Prior::default(),
         };
-        let begin = thread_time();
-        let before = segmenter.next(&frame, &prior(predicted));
+        let (predicted, confidence) = known.predict();
+        let (before, first_time) = timed(|| segmenter.next(&frame, &prior(predicted, confidence)));
         let first_pass = before.mask.clone();
-        let after = segmenter.refine(&frame, before, &prior(pose));
-        let time = thread_time().saturating_sub(begin);
+        let (after, second_time) = timed(|| match before.area {
+            0 => before,
+            _ => segmenter.refine(&frame, before, &prior(Some(pose), 1.0)),
+        });
+        if after.area > 0 {
+            known.observe(pose)
+        } else {
+            known.lose()
+        }
         if !args.no_pose && after.confidence > 0.5 {
             model.add(&frame, &after.mask, &pose);
         }
@@ -88,12 +87,42 @@ pub(super) fn follow(folder: &Path, args: &MaskArgs) -> anyhow::Result<Followed>
             region: [&first_pass, &after.mask].map(|m| score::region(m, &truth)),
             boundary: score::boundary(&after.mask, &truth),
             confidence: after.confidence,
-            time,
+            time: first_time + second_time,
         });
     }
     let regions: Vec<f64> = std::iter::once(1.0).chain(frames.iter().map(|f| f.region[1])).collect();
     let reappearances = score::reappearances(&areas, &regions);
     Ok(Followed { frames, stages: segmenter.stage_times(), reappearances })
+}
+
+fn timed<T>(work: impl FnOnce() -> T) -> (T, Duration) {
+    let begin = thread_time();
+    (work(), thread_time().saturating_sub(begin))
+}
+
+/// The poses that a tracker would know.
+#[derive(Default)]
+struct Known {
+    last: Option<Isometry3<f64>>,
+    before: Option<Isometry3<f64>>,
+    lost: bool,
+}
+
+impl Known {
+    fn observe(&mut self, pose: Isometry3<f64>) {
+        (self.before, self.last) = (self.last.filter(|_| !self.lost), Some(pose));
+        self.lost = false;
+    }
+
+    fn lose(&mut self) {
+        (self.before, self.lost) = (None, true);
+    }
+
+    /// The last step again, or where the object was last seen, with the tracker's confidence in it.
+    fn predict(&self) -> (Option<Isometry3<f64>>, f32) {
+        let steady = self.before.zip(self.last).map(|(a, b)| b * a.inverse() * b);
+        (steady.or(self.last), if self.lost { 0.2 } else { 0.8 })
+    }
 }
 
 fn draw(

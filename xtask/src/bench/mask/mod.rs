@@ -28,6 +28,12 @@ pub(crate) struct MaskArgs {
     /// Where the synthetic sequences are kept; made on first use.
     #[arg(long, default_value = "out/synth", value_name = "DIR")]
     data: PathBuf,
+    /// The suite in another make-up: other colours, views, courses, hands, rooms and noise. 0 is the suite itself.
+    #[arg(long, default_value_t = 0, value_name = "N")]
+    variant: u64,
+    /// Hide everything for this many frames, early in each sequence, by a card before the camera: is the object found again?
+    #[arg(long, value_delimiter = ',', value_name = "FRAMES,...", conflicts_with = "dir")]
+    hide: Vec<u32>,
     /// Stop after this many frames of each sequence.
     #[arg(long, value_name = "N")]
     frames: Option<usize>,
@@ -47,12 +53,7 @@ pub(crate) struct MaskArgs {
 
 /// Follows every sequence's mask and prints a table.
 pub(super) fn run(args: &MaskArgs) -> anyhow::Result<ExitCode> {
-    let folders = if args.dir.is_empty() {
-        let names = synth::prepare(&args.names, &args.data)?;
-        names.iter().map(|name| args.data.join(name)).collect()
-    } else {
-        args.dir.clone()
-    };
+    let folders = if args.dir.is_empty() { synthetic(args)? } else { args.dir.clone() };
     let mut rows = Vec::new();
     for folder in &folders {
         let run = follow(folder, args).with_context(|| format!("measuring on {}", folder.display()))?;
@@ -66,4 +67,30 @@ pub(super) fn run(args: &MaskArgs) -> anyhow::Result<ExitCode> {
             .with_context(|| format!("{} can't be written", path.display()))?;
     }
     Ok(ExitCode::SUCCESS)
+}
+
+/// Folders of the synthetic sequences asked for, made where they aren't there yet.
+fn synthetic(args: &MaskArgs) -> anyhow::Result<Vec<PathBuf>> {
+    /// Frames before the card hides all, and those with its way out and after it.
+    const BEFORE: u32 = 36;
+    const AFTER: u32 = 30;
+    let mut folders = Vec::new();
+    for name in synth::chosen(&args.names) {
+        let whole = synth::variant(&name, args.variant)?;
+        let mut sequences = Vec::new();
+        for &frames in &args.hide {
+            let hidden = whole.hidden_between(f64::from(BEFORE), f64::from(BEFORE + frames));
+            let hidden = hidden.truncated((BEFORE + frames + AFTER) as usize);
+            sequences.push((hidden, format!("hidden-{frames}")));
+        }
+        if sequences.is_empty() {
+            sequences.push((whole, String::new()));
+        }
+        for (sequence, below) in sequences {
+            let variant = if args.variant == 0 { String::new() } else { format!("variant-{}", args.variant) };
+            let data = args.data.join(variant).join(below);
+            folders.push(data.join(synth::make(&sequence, &data)?));
+        }
+    }
+    Ok(folders)
 }
