@@ -9,7 +9,7 @@ use matcher::{
 };
 use nalgebra::{Isometry3, Point3, Vector3};
 use neural_field::FieldImages;
-use posegraph::DenseView;
+use posegraph::{DenseView, Pinhole};
 use rgbd_io::{Image, Intrinsics, Mask, RgbdFrame};
 
 use crate::{
@@ -111,7 +111,9 @@ impl Observation {
             return Err(Unusable::NoDepth);
         }
         let samples = spread_samples(&points, &normals);
-        let dense = downscale(&points, &normals, &intrinsics, valid * zoom * zoom, config.graph.dense_pixels);
+        let (valid_pixels, wanted) = (valid * zoom * zoom, config.graph.dense_pixels);
+        let dense = downscale(&points, &normals, &intrinsics, valid_pixels, wanted);
+        let dense = dense.map_err(|_| Unusable::Malformed)?;
         let pyramid = Pyramid::new(to_gray(&color), pyramid_levels(width, height));
         let mut images = field_images(index, &color, &raw, &clean, &crop_mask, &intrinsics);
         // What was eroded, and a pixel of blur.
@@ -356,7 +358,7 @@ fn downscale(
     k: &Intrinsics,
     valid: usize,
     wanted: usize,
-) -> DenseView {
+) -> Result<DenseView, posegraph::Error> {
     let step = ((valid as f64 / wanted as f64).sqrt().round() as usize).max(1);
     let half = step / 2;
     let (width, height) = ((points.width() - half).div_ceil(step), (points.height() - half).div_ceil(step));
@@ -364,16 +366,9 @@ fn downscale(
         Image::from_fn(width, height, |x, y| image[(x * step + half, y * step + half)]).into_pixels()
     };
     let scale = step as f64;
-    DenseView {
-        width,
-        height,
-        fx: k.fx / scale,
-        fy: k.fy / scale,
-        cx: (k.cx - half as f64) / scale,
-        cy: (k.cy - half as f64) / scale,
-        points: pick(points),
-        normals: pick(normals),
-    }
+    let (cx, cy) = ((k.cx - half as f64) / scale, (k.cy - half as f64) / scale);
+    let camera = Pinhole { fx: k.fx / scale, fy: k.fy / scale, cx, cy };
+    DenseView::new((width, height), camera, &pick(points), &pick(normals))
 }
 
 /// Clean depth inside the mask, the sensor's own outside it: the field's ring rays see the background with it.

@@ -4,7 +4,7 @@
 use std::time::Instant;
 
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
-use posegraph::{DenseEdge, DenseView, Error, FeatureEdge, Node, PoseGraph, SolveOptions, solve};
+use posegraph::{DenseEdge, DenseView, Error, FeatureEdge, Node, Pinhole, PoseGraph, SolveOptions, solve};
 
 /// Camera that looks at the object's centre from 0.5 m.
 fn orbit(yaw: f64, pitch: f64) -> Isometry3<f64> {
@@ -16,7 +16,7 @@ fn orbit(yaw: f64, pitch: f64) -> Isometry3<f64> {
 const AXES: Vector3<f64> = Vector3::new(0.07, 0.09, 0.11);
 
 /// A 160 x 120 view of the ellipsoid.
-fn view(obj_from_cam: &Isometry3<f64>) -> DenseView {
+fn view(obj_from_cam: &Isometry3<f64>) -> Result<DenseView, Error> {
     let (width, height, focal) = (160, 120, 300.0);
     let (cx, cy) = (79.5, 59.5);
     let (mut points, mut normals) = (Vec::new(), Vec::new());
@@ -39,12 +39,12 @@ fn view(obj_from_cam: &Isometry3<f64>) -> DenseView {
         }
     }
     let (width, height) = (width as usize, height as usize);
-    DenseView { width, height, fx: focal, fy: focal, cx, cy, points, normals }
+    DenseView::new((width, height), Pinhole { fx: focal, fy: focal, cx, cy }, &points, &normals)
 }
 
 fn main() -> Result<(), Error> {
     let truth: Vec<_> = (0..11).map(|k| orbit(0.08 * f64::from(k), 0.05 * f64::from(k % 3))).collect();
-    let views: Vec<_> = truth.iter().map(view).collect();
+    let views = truth.iter().map(view).collect::<Result<Vec<_>, Error>>()?;
     let mut graph = PoseGraph::new();
     for (k, pose) in truth.iter().enumerate() {
         let s = 0.002 * (k as f64 * 1.7).sin();

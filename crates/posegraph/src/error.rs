@@ -40,10 +40,13 @@ pub enum Error {
         node: usize,
     },
     /// A view's camera cannot project.
-    #[error("camera of the view of node {node} is not usable; focal lengths must be positive and finite")]
-    InvalidCamera {
-        /// The node of the view.
-        node: usize,
+    #[error("camera of the view is not usable; focal lengths must be positive, and all of it finite")]
+    InvalidCamera,
+    /// A view has more pixels than an index can count.
+    #[error("a view of {pixels} pixels is too large; scale it down")]
+    ViewTooLarge {
+        /// Its pixels.
+        pixels: usize,
     },
     /// A node's pose (or a prior's mean) holds NaN or infinity, or its rotation is not a unit quaternion.
     #[error("pose of node {node} is not a finite rigid motion; drop the node or give it a valid pose")]

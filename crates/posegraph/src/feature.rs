@@ -5,11 +5,11 @@ use nalgebra::{Isometry3, Translation3, Vector3};
 use crate::graph::FeatureEdge;
 use crate::jacobian::lift;
 use crate::lanes::LANES;
-use crate::moments::{self, Block};
-use crate::normal::NormalEquations;
+use crate::moments::Block;
+use crate::normal::PairBlocks;
 use crate::options::SolveOptions;
 use crate::simd;
-use crate::stats::{Extent, Residuals};
+use crate::stats::Tally;
 use crate::transform::{Rigid, is_finite, widen};
 
 /// The usable matches of one feature edge.
@@ -37,23 +37,25 @@ struct Placed {
 
 impl FeatureTerm {
     pub(crate) fn new(index: usize, edge: &FeatureEdge, options: &SolveOptions) -> Self {
-        let points = || {
-            let pairs = edge.points_i.iter().zip(&edge.points_j).enumerate();
-            pairs
-                .map(|(k, (&p, &q))| (p, q, edge.weights.get(k).copied().unwrap_or(1.0)))
-                .filter(|(p, q, w)| is_finite(p) && is_finite(q) && w.is_finite() && *w > 0.0)
-        };
-        let (mut count, mut total, mut sums) = (0, 0.0, [Vector3::zeros(); 2]);
-        for (p, q, w) in points() {
-            count += 1;
+        let pairs = edge.points_i.iter().zip(&edge.points_j).enumerate();
+        let usable = pairs.filter_map(|(k, (&p, &q))| {
+            let w = edge.weights.get(k).copied().unwrap_or(1.0);
+            (is_finite(&p) && is_finite(&q) && w.is_finite() && w > 0.0).then_some((p, q, w))
+        });
+        let mut blocks = Vec::with_capacity(edge.points_i.len().div_ceil(LANES));
+        let (mut count, mut total) = (0, 0.0);
+        // Any of the points is as near to the others as single precision needs.
+        let (mut centre_i, mut centre_j) = ([0.0; 3], [0.0; 3]);
+        for (p, q, w) in usable {
+            if count == 0 {
+                (centre_i, centre_j) = (p, q);
+            }
+            if count % LANES == 0 {
+                blocks.push(Block::default());
+            }
+            blocks[count / LANES].set_lane(count % LANES, (p, centre_i), (q, centre_j), w);
             total += f64::from(w);
-            sums[0] += Vector3::from(widen(p));
-            sums[1] += Vector3::from(widen(q));
-        }
-        let [centre_i, centre_j] = sums.map(|s| (s / f64::max(count as f64, 1.0)).map(|x| x as f32).into());
-        let mut blocks = vec![Block::default(); usize::div_ceil(count, LANES)];
-        for (k, (p, q, w)) in points().enumerate() {
-            blocks[k / LANES].set_lane(k % LANES, (p, centre_i), (q, centre_j), w);
+            count += 1;
         }
         let scale = options.feature_weight / (options.feature_sigma * options.feature_sigma)
             * if total > options.feature_cap { options.feature_cap / total } else { 1.0 };
@@ -75,38 +77,26 @@ impl FeatureTerm {
         self.scale * simd::feature_cost(&self.blocks, (&placed.a, &placed.b), self.delta as f32)
     }
 
-    pub(crate) fn linearise(&self, poses: &[Isometry3<f64>], normal: &mut NormalEquations) -> f64 {
+    pub(crate) fn linearise(&self, poses: &[Isometry3<f64>]) -> PairBlocks {
         let placed = self.place(poses);
         let (sums, cost) = simd::feature_sums(&self.blocks, (&placed.a, &placed.b), self.delta as f32);
-        let blocks = sums.finish();
+        let (h, g) = sums.finish();
         // The sums are about the centre: lift them to the object's origin.
         let lift = lift(&Translation3::from(placed.centre).into());
-        let at_origin = |h: &nalgebra::Matrix6<f64>| lift * (h * self.scale) * lift.transpose();
-        let g = lift * (blocks.g * self.scale);
-        normal.add(self.i, &at_origin(&blocks.ii), &g);
-        normal.add(self.j, &at_origin(&blocks.jj), &-g);
-        normal.add_cross(self.i, self.j, &at_origin(&blocks.ij));
-        self.scale * cost
+        let h = lift * (h * self.scale) * lift.transpose();
+        PairBlocks { nodes: (self.i, self.j), h, g: lift * (g * self.scale), cost: self.scale * cost }
     }
 
-    pub(crate) fn residuals(&self, poses: &[Isometry3<f64>], all: &mut Residuals) -> usize {
+    pub(crate) fn tally(&self, poses: &[Isometry3<f64>]) -> Tally {
         let placed = self.place(poses);
-        let mut inliers = 0;
-        moments::for_each(&self.blocks, self.count, (&placed.a, &placed.b), |_, _, e, weight| {
-            inliers += usize::from(all.add(e, self.delta, weight));
-        });
-        inliers
+        simd::feature_tally(&self.blocks, (&placed.a, &placed.b), self.delta as f32)
     }
 
-    /// Adds the object-frame points of `node`.
-    pub(crate) fn extent(&self, node: usize, poses: &[Isometry3<f64>], extent: &mut Extent) {
-        if node != self.i && node != self.j {
-            return;
-        }
-        let placed = self.place(poses);
-        moments::for_each(&self.blocks, self.count, (&placed.a, &placed.b), |x, y, _, _| {
-            let point = Vector3::from(if node == self.i { x } else { y }) + placed.centre;
-            extent.add(point.into());
-        });
+    /// The points of `node` in its camera's frame; none if it takes no part.
+    pub(crate) fn points(&self, node: usize) -> impl Iterator<Item = [f32; 3]> {
+        let centre = if node == self.i { self.centre_i } else { self.centre_j };
+        let count = if node == self.i || node == self.j { self.count } else { 0 };
+        let point = move |k: usize| self.blocks[k / LANES].point(k % LANES, node == self.i, centre);
+        (0..count).map(point)
     }
 }

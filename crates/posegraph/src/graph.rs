@@ -3,6 +3,7 @@
 use nalgebra::{Isometry3, Matrix6};
 
 use crate::error::Error;
+use crate::view::DenseView;
 
 /// One pose variable `T` (camera to object). The solver perturbs it from the left: `T <- exp(delta) T`.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -11,28 +12,6 @@ pub struct Node {
     pub obj_from_cam: Isometry3<f64>,
     /// A fixed node is a constant: it is eliminated from the system and returned bit for bit.
     pub fixed: bool,
-}
-
-/// Organised point cloud with normals of one frame, in its own camera frame (x right, y down, z forward, metres),
-/// already at the resolution the caller wants the dense term to work at.
-#[derive(Debug, Clone, PartialEq)]
-pub struct DenseView {
-    /// Pixels per row.
-    pub width: usize,
-    /// Rows.
-    pub height: usize,
-    /// Horizontal focal length at this resolution, pixels.
-    pub fx: f64,
-    /// Vertical focal length at this resolution, pixels.
-    pub fy: f64,
-    /// Principal point, horizontal; pixel centres are at integers.
-    pub cx: f64,
-    /// Principal point, vertical.
-    pub cy: f64,
-    /// `width * height` points, row-major; `z <= 0` or NaN = invalid.
-    pub points: Vec<[f32; 3]>,
-    /// `width * height` unit normals, row-major; a zero or NaN normal = invalid.
-    pub normals: Vec<[f32; 3]>,
 }
 
 /// Matched 3-D points of two frames, each in its own camera frame (eq. `L_f` of the paper).
@@ -125,16 +104,9 @@ impl<'a> PoseGraph<'a> {
     /// Gives a node its organised cloud; needed by every node of a dense edge.
     ///
     /// # Errors
-    /// Unknown node, arrays that are not `width * height` long, or a camera that cannot project.
+    /// Unknown node.
     pub fn set_view(&mut self, node: usize, view: &'a DenseView) -> Result<(), Error> {
         self.check_node("view", node)?;
-        let pixels = view.width.saturating_mul(view.height);
-        check_length("points of the view", view.points.len(), pixels)?;
-        check_length("normals of the view", view.normals.len(), pixels)?;
-        let camera = [view.fx, view.fy, view.cx, view.cy];
-        if camera.iter().any(|c| !c.is_finite()) || view.fx <= 0.0 || view.fy <= 0.0 {
-            return Err(Error::InvalidCamera { node });
-        }
         if let Some(slot) = self.views.get_mut(node) {
             *slot = Some(view);
         }
@@ -219,7 +191,7 @@ impl<'a> PoseGraph<'a> {
     }
 }
 
-fn check_length(what: &'static str, got: usize, expected: usize) -> Result<(), Error> {
+pub(crate) fn check_length(what: &'static str, got: usize, expected: usize) -> Result<(), Error> {
     if got == expected { Ok(()) } else { Err(Error::LengthMismatch { what, got, expected }) }
 }
 

@@ -3,7 +3,8 @@
 //!
 //! With `T <- exp(delta) T` and `delta = [rho; phi]`, an object-frame point `X = T p` moves by `rho + phi x X`, so
 //! `dX/ddelta = [I | -[X]x]`. Three consequences carry the solver:
-//! - a feature residual `X_i - X_j` has Jacobians `[I | -[X_i]x]` and `-[I | -[X_j]x]`;
+//! - a feature residual `X_i - X_j` has Jacobians `[I | -[X_i]x]` and `-[I | -[X_j]x]`, up to the residual's order
+//!   both at the midpoint ([`PairSums`]);
 //! - a scalar residual that changes with `X` along `d` (plane normal, SDF gradient) has the row `[d; X x d]`;
 //! - rows built in a camera frame become object-frame rows by one adjoint per edge ([`lift`]).
 
@@ -87,84 +88,55 @@ impl RowSums {
 }
 
 /// Weighted moments of matched object-frame points: all that the blocks of a feature edge depend on.
+///
+/// Both nodes get the Jacobian at the midpoint `m = (x + y) / 2`. The gradient is the exact one, because
+/// `x x (x - y) = m x (x - y)`, and the Hessian differs from Gauss-Newton's by the residual's order, in its favour: a
+/// motion of both nodes together costs nothing, as in the objective itself.
 #[derive(Debug, Clone, Copy, Default)]
-pub(crate) struct MatchSums {
+pub(crate) struct PairSums {
     pub(crate) w: f64,
-    pub(crate) x: [f64; 3],
-    pub(crate) y: [f64; 3],
-    pub(crate) xx: [f64; 6],
-    pub(crate) yy: [f64; 6],
-    pub(crate) xy: [f64; 9],
+    pub(crate) m: [f64; 3],
+    /// Lower triangle.
+    pub(crate) mm: [f64; 6],
     pub(crate) r: [f64; 3],
-    pub(crate) x_cross_r: [f64; 3],
+    pub(crate) m_cross_r: [f64; 3],
 }
 
-/// The blocks of one feature edge: `H_ii, H_jj, H_ij` and the gradient of `i` (that of `j` is its negative).
-pub(crate) struct MatchBlocks {
-    pub(crate) ii: Matrix6<f64>,
-    pub(crate) jj: Matrix6<f64>,
-    pub(crate) ij: Matrix6<f64>,
-    pub(crate) g: Vector6<f64>,
-}
-
-impl MatchSums {
+impl PairSums {
     /// Adds the match of `x` (node i) and `y` (node j), with weight `w`. The reference for the single-precision sums of
     /// the feature term.
     #[cfg(test)]
     pub(crate) fn add(&mut self, x: [f64; 3], y: [f64; 3], w: f64) {
-        let wx = [w * x[0], w * x[1], w * x[2]];
-        let wy = [w * y[0], w * y[1], w * y[2]];
-        let r = [wx[0] - wy[0], wx[1] - wy[1], wx[2] - wy[2]];
+        let m: [f64; 3] = std::array::from_fn(|k| 0.5 * (x[k] + y[k]));
+        let r: [f64; 3] = std::array::from_fn(|k| w * (x[k] - y[k]));
         self.w += w;
+        let turn = Vector3::from(m).cross(&Vector3::from(r));
         let mut k = 0;
         for a in 0..3 {
-            self.x[a] += wx[a];
-            self.y[a] += wy[a];
+            self.m[a] += w * m[a];
             self.r[a] += r[a];
-            for b in 0..3 {
-                self.xy[3 * a + b] += wx[a] * y[b];
-            }
+            self.m_cross_r[a] += turn[a];
             for b in 0..=a {
-                self.xx[k] += wx[a] * x[b];
-                self.yy[k] += wy[a] * y[b];
+                self.mm[k] += w * m[a] * m[b];
                 k += 1;
             }
         }
-        self.x_cross_r[0] += x[1] * r[2] - x[2] * r[1];
-        self.x_cross_r[1] += x[2] * r[0] - x[0] * r[2];
-        self.x_cross_r[2] += x[0] * r[1] - x[1] * r[0];
     }
 
-    /// The blocks of the normal equations.
-    pub(crate) fn finish(&self) -> MatchBlocks {
-        let symmetric = |m: &[f64; 6]| Matrix3::new(m[0], m[1], m[3], m[1], m[2], m[4], m[3], m[4], m[5]);
-        let x = Vector3::from(self.x);
-        let y = Vector3::from(self.y);
-        let xy = Matrix3::from_row_slice(&self.xy);
-        MatchBlocks {
-            ii: self.block(&x, &x, &symmetric(&self.xx)),
-            jj: self.block(&y, &y, &symmetric(&self.yy)),
-            ij: -self.block(&x, &y, &xy),
-            g: Vector6::new(
-                self.r[0],
-                self.r[1],
-                self.r[2],
-                self.x_cross_r[0],
-                self.x_cross_r[1],
-                self.x_cross_r[2],
-            ),
-        }
-    }
-
-    /// `sum w [I | -[X]x]^T [I | -[Y]x]` from `sum w`, `sum w X`, `sum w Y` and `m = sum w X Y^T`; uses
-    /// `-[X]x [Y]x = (X . Y) I - Y X^T`.
-    fn block(&self, x: &Vector3<f64>, y: &Vector3<f64>, m: &Matrix3<f64>) -> Matrix6<f64> {
-        let mut b = Matrix6::zeros();
-        b.fixed_view_mut::<3, 3>(0, 0).copy_from(&(Matrix3::identity() * self.w));
-        b.fixed_view_mut::<3, 3>(0, 3).copy_from(&-y.cross_matrix());
-        b.fixed_view_mut::<3, 3>(3, 0).copy_from(&x.cross_matrix());
-        b.fixed_view_mut::<3, 3>(3, 3).copy_from(&(Matrix3::identity() * m.trace() - m.transpose()));
-        b
+    /// `H` and the gradient `g` of node i; the blocks are `H_ii = H_jj = -H_ij = H`, and the gradient of node j is `-g`.
+    ///
+    /// `H = sum w [I | -[m]x]^T [I | -[m]x]`, with `-[m]x [m]x = (m . m) I - m m^T`.
+    pub(crate) fn finish(&self) -> (Matrix6<f64>, Vector6<f64>) {
+        let m = Vector3::from(self.m).cross_matrix();
+        let mm = &self.mm;
+        let mm = Matrix3::new(mm[0], mm[1], mm[3], mm[1], mm[2], mm[4], mm[3], mm[4], mm[5]);
+        let mut h = Matrix6::zeros();
+        h.fixed_view_mut::<3, 3>(0, 0).copy_from(&(Matrix3::identity() * self.w));
+        h.fixed_view_mut::<3, 3>(0, 3).copy_from(&-m);
+        h.fixed_view_mut::<3, 3>(3, 0).copy_from(&m);
+        h.fixed_view_mut::<3, 3>(3, 3).copy_from(&(Matrix3::identity() * mm.trace() - mm));
+        let (r, turn) = (&self.r, &self.m_cross_r);
+        (h, Vector6::new(r[0], r[1], r[2], turn[0], turn[1], turn[2]))
     }
 }
 
@@ -300,27 +272,22 @@ mod tests {
     }
 
     #[test]
-    fn match_sums_equal_the_sum_of_jacobian_products() {
+    fn pair_sums_equal_products_at_midpoints_and_the_exact_gradient() {
         let mut rng = Pcg64Mcg::seed_from_u64(5);
-        let mut sums = MatchSums::default();
-        let (mut ii, mut jj, mut ij) = (Matrix6::zeros(), Matrix6::zeros(), Matrix6::zeros());
-        let (mut gi, mut gj) = (Vector6::zeros(), Vector6::zeros());
+        let mut sums = PairSums::default();
+        let (mut h, mut gi, mut gj) = (Matrix6::zeros(), Vector6::zeros(), Vector6::zeros());
         for _ in 0..50 {
             let (x, y, w) = (vector(&mut rng, 1.0), vector(&mut rng, 1.0), rng.random_range(0.1..2.0));
             sums.add(x.into(), y.into(), w);
-            let (a, b) = (point_jacobian(&x), -point_jacobian(&y));
-            ii += a.transpose() * a * w;
-            jj += b.transpose() * b * w;
-            ij += a.transpose() * b * w;
-            gi += a.transpose() * (x - y) * w;
-            gj += b.transpose() * (x - y) * w;
+            let at_middle = point_jacobian(&((x + y) * 0.5));
+            h += at_middle.transpose() * at_middle * w;
+            gi += point_jacobian(&x).transpose() * (x - y) * w;
+            gj -= point_jacobian(&y).transpose() * (x - y) * w;
         }
-        let blocks = sums.finish();
-        for (got, expected) in [(blocks.ii, ii), (blocks.jj, jj), (blocks.ij, ij)] {
-            assert!((got - expected).amax() < 1e-10, "{got}{expected}");
-        }
-        assert!((blocks.g - gi).amax() < 1e-10);
-        assert!((blocks.g + gj).amax() < 1e-10);
+        let (got_h, got_g) = sums.finish();
+        assert!((got_h - h).amax() < 1e-10, "{got_h}{h}");
+        assert!((got_g - gi).amax() < 1e-10);
+        assert!((got_g + gj).amax() < 1e-10);
     }
 
     #[test]

@@ -4,6 +4,8 @@
 //! decimetres; rows are short sums in single precision, and totals are double.
 
 use crate::jacobian::RowSums;
+use crate::simd::Vector;
+use crate::stats::Tally;
 use crate::transform::Rigid;
 
 /// Residuals that are computed together.
@@ -14,8 +16,8 @@ const CHUNK: usize = 16;
 /// One number of each of the residuals.
 pub(crate) type Lane = [f32; LANES];
 
-/// Eight matches: component by component. Unused lanes have weight zero.
-#[derive(Debug, Clone, Copy, Default)]
+/// Eight matches: component by component. Unused lanes are zero.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub(crate) struct Block {
     pub(crate) source: [Lane; 3],
     pub(crate) target: [Lane; 3],
@@ -24,166 +26,176 @@ pub(crate) struct Block {
     pub(crate) weight: Lane,
 }
 
-/// One match of a block.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct Match {
-    pub(crate) source: [f32; 3],
-    pub(crate) target: [f32; 3],
-    pub(crate) normal: [f32; 3],
-    pub(crate) weight: f32,
+/// A rigid motion of eight points at a time.
+pub(crate) struct Placement<V> {
+    r: [V; 9],
+    t: [V; 3],
+}
+
+impl<V: Vector> Placement<V> {
+    #[inline(always)]
+    pub(crate) fn new(motion: &Rigid<f32>) -> Self {
+        let mut placement = Self { r: [V::splat(0.0); 9], t: [V::splat(0.0); 3] };
+        // Not `map`: what isn't inlined knows nothing of the processor that this is compiled for.
+        (0..9).for_each(|k| placement.r[k] = V::splat(motion.r[k]));
+        (0..3).for_each(|k| placement.t[k] = V::splat(motion.t[k]));
+        placement
+    }
+
+    #[inline(always)]
+    pub(crate) fn point(&self, p: [V; 3]) -> [V; 3] {
+        let d = self.direction(p);
+        [d[0] + self.t[0], d[1] + self.t[1], d[2] + self.t[2]]
+    }
+
+    #[inline(always)]
+    pub(crate) fn direction(&self, [x, y, z]: [V; 3]) -> [V; 3] {
+        let r = &self.r;
+        [r[0] * x + r[1] * y + r[2] * z, r[3] * x + r[4] * y + r[5] * z, r[6] * x + r[7] * y + r[8] * z]
+    }
+}
+
+#[inline(always)]
+pub(crate) fn difference<V: Vector>(a: [V; 3], b: [V; 3]) -> [V; 3] {
+    [a[0] - b[0], a[1] - b[1], a[2] - b[2]]
+}
+
+#[inline(always)]
+pub(crate) fn dot<V: Vector>(a: [V; 3], b: [V; 3]) -> V {
+    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+}
+
+#[inline(always)]
+pub(crate) fn cross<V: Vector>(a: [V; 3], b: [V; 3]) -> [V; 3] {
+    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 }
 
 impl Block {
-    pub(crate) fn lane(&self, l: usize) -> Match {
-        let of = |lanes: &[Lane; 3]| [lanes[0][l], lanes[1][l], lanes[2][l]];
-        let weight = self.weight[l];
-        Match { source: of(&self.source), target: of(&self.target), normal: of(&self.normal), weight }
-    }
-
+    /// Transformed source points, normals, and the point-to-plane residuals `n . (q - p)`.
     #[inline(always)]
-    pub(crate) fn set_lane(&mut self, l: usize, m: &Match) {
-        for k in 0..3 {
-            self.source[k][l] = m.source[k];
-            self.target[k][l] = m.target[k];
-            self.normal[k][l] = m.normal[k];
-        }
-        self.weight[l] = m.weight;
-    }
-
-    /// Transformed source points, and the point-to-plane residuals `n . (q - p)`.
-    #[inline(always)]
-    fn residuals(&self, target_from_source: &Rigid<f32>) -> ([Lane; 3], Lane) {
-        let (r, t) = (&target_from_source.r, &target_from_source.t);
-        let [x, y, z] = &self.source;
-        let mut p = [[0.0; LANES]; 3];
-        let mut e = [0.0; LANES];
-        for k in 0..3 {
-            for l in 0..LANES {
-                p[k][l] = r[3 * k] * x[l] + r[3 * k + 1] * y[l] + r[3 * k + 2] * z[l] + t[k];
-                e[l] += self.normal[k][l] * (self.target[k][l] - p[k][l]);
-            }
-        }
-        (p, e)
+    fn residuals<V: Vector>(&self, target_from_source: &Placement<V>) -> ([V; 3], [V; 3], V) {
+        let p = target_from_source.point(V::load3(&self.source));
+        let n = V::load3(&self.normal);
+        let e = dot(n, difference(V::load3(&self.target), p));
+        (p, n, e)
     }
 }
 
-/// Huber's loss times the weight, and the weight of the residual in the normal equations.
+/// Huber's loss times the weight, and the weight of the residual in the normal equations; `e >= 0`.
 #[inline(always)]
-pub(crate) fn huber(e: &Lane, weight: &Lane, delta: f32) -> (Lane, Lane) {
-    let (mut rho, mut w) = ([0.0; LANES], [0.0; LANES]);
-    for l in 0..LANES {
-        let e = e[l].abs();
-        // Without branches: both zones in one formula.
-        let inner = if e < delta { e } else { delta };
-        let outer = if e < delta { delta } else { e };
-        rho[l] = weight[l] * inner * (e - 0.5 * inner);
-        w[l] = weight[l] * (delta / outer);
-    }
-    (rho, w)
-}
-
-#[inline(always)]
-pub(crate) fn total(lane: &Lane) -> f64 {
-    let pairs: [f32; 4] = std::array::from_fn(|l| lane[l] + lane[l + 4]);
-    f64::from((pairs[0] + pairs[2]) + (pairs[1] + pairs[3]))
+pub(crate) fn huber<V: Vector>(e: V, weight: V, delta: V) -> (V, V) {
+    // Without branches: both zones in one formula.
+    let inner = e.min(delta);
+    let rho = weight * inner * (e - V::splat(0.5) * inner);
+    (rho, weight * (delta / e.max(delta)))
 }
 
 /// Sum of the weighted losses.
 #[inline(always)]
-pub(crate) fn cost(blocks: &[Block], target_from_source: &Rigid<f32>, delta: f32) -> f64 {
+pub(crate) fn cost<V: Vector>(blocks: &[Block], target_from_source: &Rigid<f32>, delta: f32) -> f64 {
+    let (placement, delta) = (Placement::<V>::new(target_from_source), V::splat(delta));
     let mut cost = 0.0;
     for chunk in blocks.chunks(CHUNK) {
-        let mut sum = [0.0; LANES];
+        let mut sum = V::splat(0.0);
         for block in chunk {
-            let (_, e) = block.residuals(target_from_source);
-            let (rho, _) = huber(&e, &block.weight, delta);
-            (0..LANES).for_each(|l| sum[l] += rho[l]);
+            let (_, _, e) = block.residuals(&placement);
+            sum = sum + huber(e.abs(), V::load(&block.weight), delta).0;
         }
-        cost += total(&sum);
+        cost += sum.total();
     }
     cost
 }
 
-/// Residuals and rows of a chunk.
-struct Rows {
-    j: [[Lane; CHUNK]; 6],
-    w: [Lane; CHUNK],
-    e: [Lane; CHUNK],
-}
+/// Columns of the rows of a chunk: `n`, the residual, `p x n`, the weight.
+type Row<V> = [V; 8];
+const N: usize = 0;
+const E: usize = 3;
+const TURN: usize = 4;
+const W: usize = 7;
 
 /// `J^T W J`, `J^T W r` with the rows of the target node `[n; p x n]`, and the sum of the weighted losses.
 #[inline(always)]
-pub(crate) fn linearise(blocks: &[Block], target_from_source: &Rigid<f32>, delta: f32) -> (RowSums, f64) {
+pub(crate) fn linearise<V: Vector>(
+    blocks: &[Block],
+    target_from_source: &Rigid<f32>,
+    delta: f32,
+) -> (RowSums, f64) {
+    let (placement, delta) = (Placement::<V>::new(target_from_source), V::splat(delta));
     let mut sums = RowSums::default();
     let mut cost = 0.0;
-    let empty = [[0.0; LANES]; CHUNK];
-    let mut rows = Rows { j: [empty; 6], w: empty, e: empty };
+    let mut rows: [Row<V>; CHUNK] = [[V::splat(0.0); 8]; CHUNK];
     for chunk in blocks.chunks(CHUNK) {
-        let mut sum = [0.0; LANES];
-        for (b, block) in chunk.iter().enumerate() {
-            let (p, e) = block.residuals(target_from_source);
-            let (rho, w) = huber(&e, &block.weight, delta);
-            let n = &block.normal;
-            for l in 0..LANES {
-                sum[l] += rho[l];
-                rows.j[3][b][l] = p[1][l] * n[2][l] - p[2][l] * n[1][l];
-                rows.j[4][b][l] = p[2][l] * n[0][l] - p[0][l] * n[2][l];
-                rows.j[5][b][l] = p[0][l] * n[1][l] - p[1][l] * n[0][l];
-            }
-            for k in 0..3 {
-                rows.j[k][b] = n[k];
-            }
-            rows.w[b] = w;
-            rows.e[b] = e;
+        let mut sum = V::splat(0.0);
+        for (row, block) in rows.iter_mut().zip(chunk) {
+            let (p, n, e) = block.residuals(&placement);
+            let (rho, w) = huber(e.abs(), V::load(&block.weight), delta);
+            sum = sum + rho;
+            let turn = cross(p, n);
+            *row = [n[0], n[1], n[2], e, turn[0], turn[1], turn[2], w];
         }
-        cost += total(&sum);
-        accumulate(&rows, chunk.len(), &mut sums);
+        cost += sum.total();
+        accumulate(&rows[..chunk.len().min(CHUNK)], &mut sums);
     }
     (sums, cost)
 }
 
-/// Adds the outer products of the first `len` blocks of rows.
+/// Adds the outer products of these rows, a tile at a time so that its sums stay in registers.
 #[inline(always)]
-fn accumulate(rows: &Rows, len: usize, sums: &mut RowSums) {
-    let mut k = 0;
-    let mut weighted = [[0.0; LANES]; CHUNK];
-    let len = len.min(CHUNK);
-    for a in 0..6 {
-        for (out, (w, j)) in weighted.iter_mut().zip(rows.w.iter().zip(&rows.j[a])) {
-            (0..LANES).for_each(|l| out[l] = w[l] * j[l]);
-        }
-        for b in 0..=a {
-            sums.h[k] += dot(&weighted[..len], &rows.j[b][..len]);
-            k += 1;
-        }
-        sums.g[a] += dot(&weighted[..len], &rows.e[..len]);
+fn accumulate<V: Vector>(rows: &[Row<V>], sums: &mut RowSums) {
+    // The residual is a neighbour of both kinds of columns.
+    for (a, row) in products::<V, 3, 4>(rows, N, N).iter().enumerate() {
+        (0..=a).for_each(|b| sums.h[triangle(a, b)] += row[b]);
+        sums.g[a] += row[E];
+    }
+    for (a, row) in products::<V, 3, 4>(rows, TURN, N).iter().enumerate() {
+        (0..3).for_each(|b| sums.h[triangle(a + 3, b)] += row[b]);
+        sums.g[a + 3] += row[E];
+    }
+    for (a, row) in products::<V, 3, 3>(rows, TURN, TURN).iter().enumerate() {
+        (0..=a).for_each(|b| sums.h[triangle(a + 3, b + 3)] += row[b]);
     }
 }
 
-#[inline(always)]
-fn dot(a: &[Lane], b: &[Lane]) -> f64 {
-    let mut sum = [0.0; LANES];
-    for (a, b) in a.iter().zip(b) {
-        for l in 0..LANES {
-            sum[l] += a[l] * b[l];
-        }
-    }
-    total(&sum)
+/// Index of entry `(a, b)`, `b <= a`, in a lower triangle stored row by row.
+const fn triangle(a: usize, b: usize) -> usize {
+    a * (a + 1) / 2 + b
 }
 
-/// Calls `f(residual, weight)` for the first `count` matches.
-pub(crate) fn for_each(
-    blocks: &[Block],
-    count: usize,
-    target_from_source: &Rigid<f32>,
-    mut f: impl FnMut(f64, f64),
-) {
-    for (b, block) in blocks.iter().enumerate() {
-        let (_, e) = block.residuals(target_from_source);
-        for l in 0..LANES.min(count.saturating_sub(b * LANES)) {
-            f(f64::from(e[l]), f64::from(block.weight[l]));
+/// Weighted products of `A` columns from `a` on with `B` columns from `b` on.
+#[inline(always)]
+fn products<V: Vector, const A: usize, const B: usize>(rows: &[Row<V>], a: usize, b: usize) -> [[f64; B]; A] {
+    let mut sums = [[V::splat(0.0); B]; A];
+    for row in rows {
+        for (i, sums) in sums.iter_mut().enumerate() {
+            let weighted = row[W] * row[a + i];
+            for (j, sum) in sums.iter_mut().enumerate() {
+                *sum = *sum + weighted * row[b + j];
+            }
         }
     }
+    let mut totals = [[0.0; B]; A];
+    for (totals, sums) in totals.iter_mut().zip(&sums) {
+        for (total, sum) in totals.iter_mut().zip(sums) {
+            *total = sum.total();
+        }
+    }
+    totals
+}
+
+/// How well the matches agree.
+#[inline(always)]
+pub(crate) fn tally<V: Vector>(blocks: &[Block], target_from_source: &Rigid<f32>, delta: f32) -> Tally {
+    let (placement, delta) = (Placement::<V>::new(target_from_source), V::splat(delta));
+    let mut tally = Tally::default();
+    for chunk in blocks.chunks(CHUNK) {
+        let mut sums = crate::stats::Sums::<V>::default();
+        for block in chunk {
+            let (_, _, e) = block.residuals(&placement);
+            sums.add(e.abs(), V::load(&block.weight), delta);
+        }
+        sums.add_to(&mut tally);
+    }
+    tally
 }
 
 #[cfg(test)]
@@ -194,6 +206,8 @@ mod tests {
 
     use super::*;
     use crate::jacobian::plane_residual;
+    use crate::simd::{self, Portable};
+    use crate::stats::Residuals;
     use crate::transform::widen;
 
     #[test]
@@ -205,36 +219,44 @@ mod tests {
         for count in [0, 1, 7, 8, 9, 128, 129, 793] {
             let mut blocks = vec![Block::default(); usize::div_ceil(count, LANES)];
             let mut sums = RowSums::default();
-            let (mut expected, mut residuals) = (0.0, Vec::new());
+            let (mut expected, mut inliers) = (0.0, 0.0);
+            let mut all = Residuals::default();
             for k in 0..count {
                 let mut vector = || [0; 3].map(|_| rng.random_range(-0.1f32..0.1));
-                let (s, n) = (vector(), Vector3::from(vector()).normalize().into());
+                let (s, n): (_, [f32; 3]) = (vector(), Vector3::from(vector()).normalize().into());
                 let p = double.point(s);
                 let q: [f32; 3] = std::array::from_fn(|c| p[c] as f32 + rng.random_range(-0.01f32..0.01));
                 let weight = rng.random_range(0.1f32..2.0);
-                let m = Match { source: s, target: q, normal: n, weight };
-                blocks[k / LANES].set_lane(k % LANES, &m);
+                let (block, l) = (&mut blocks[k / LANES], k % LANES);
+                for c in 0..3 {
+                    (block.source[c][l], block.target[c][l], block.normal[c][l]) = (s[c], q[c], n[c]);
+                }
+                block.weight[l] = weight;
                 let (r, row) = plane_residual(widen(n), widen(q), p);
                 let (rho, w) = crate::jacobian::huber(r.abs(), delta);
                 expected += f64::from(weight) * rho;
                 sums.add(&row, f64::from(weight) * w, r);
-                residuals.push(r);
+                inliers += f64::from(u8::from(all.add(r, delta, f64::from(weight))));
             }
-            let (got, total) = linearise(&blocks, &single, delta as f32);
+            let (got, total) = linearise::<Portable>(&blocks, &single, delta as f32);
             let (h, g) = got.finish();
             let (expected_h, expected_g) = sums.finish();
-            let (wide, _) = crate::simd::dense_sums(&blocks, &single, delta as f32);
-            assert_eq!(wide.h, got.h, "every instruction set gives the same bits");
+            let (wide, wide_total) = simd::dense_sums(&blocks, &single, delta as f32);
+            assert_eq!(
+                (wide.h, wide.g, wide_total),
+                (got.h, got.g, total),
+                "every instruction set: the same bits"
+            );
             assert!((h - expected_h).amax() <= 2e-6 * expected_h.amax(), "{count}: {h}{expected_h}");
             assert!((g - expected_g).amax() <= 1e-5 * (1e-2 + expected_g.amax()), "{count}: {g}{expected_g}");
             assert!((total - expected).abs() <= 1e-5 * expected);
-            assert_eq!(total, cost(&blocks, &single, delta as f32), "the same sums, bit for bit");
-            let mut seen = 0;
-            for_each(&blocks, count, &single, |r, _| {
-                assert!((r - residuals[seen]).abs() < 1e-7);
-                seen += 1;
-            });
-            assert_eq!(seen, count);
+            let costs = [cost::<Portable>, simd::dense_cost].map(|cost| cost(&blocks, &single, delta as f32));
+            assert_eq!(costs, [total; 2], "the same sums, bit for bit");
+            let tallies = [tally::<Portable>, simd::dense_tally].map(|t| t(&blocks, &single, delta as f32));
+            assert_eq!(tallies[0], tallies[1]);
+            let mut counted = Residuals::default();
+            assert_eq!(counted.add_edge(&tallies[0]) as f64, inliers);
+            assert!((counted.rms() - all.rms()).abs() <= 1e-5 * all.rms());
         }
     }
 }

@@ -61,17 +61,20 @@ mod parallel;
 mod prior;
 mod problem;
 mod sdf;
+mod search;
 mod simd;
 mod solve;
 #[cfg(feature = "sparse")]
 pub mod sparse;
 mod stats;
 mod transform;
+mod view;
 
 pub use error::Error;
-pub use graph::{DenseEdge, DenseView, FeatureEdge, Node, PoseGraph, PosePrior, SdfModel, SdfTerm};
+pub use graph::{DenseEdge, FeatureEdge, Node, PoseGraph, PosePrior, SdfModel, SdfTerm};
 pub use options::SolveOptions;
 pub use solve::{Solution, solve};
+pub use view::{DenseView, Pinhole};
 
 #[cfg(doctest)]
 #[doc = include_str!("../README.md")]

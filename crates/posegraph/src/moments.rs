@@ -1,8 +1,10 @@
 //! Sums over matched points of a feature edge in single precision, eight at a time, about a centre near the points.
 
-use crate::jacobian::MatchSums;
-use crate::lanes::{LANES, Lane, huber, total};
-use crate::transform::{Rigid, widen};
+use crate::jacobian::PairSums;
+use crate::lanes::{Lane, Placement, cross, difference, dot, huber};
+use crate::simd::Vector;
+use crate::stats::{self, Tally};
+use crate::transform::Rigid;
 
 /// Blocks that are summed in single precision.
 const CHUNK: usize = 8;
@@ -31,148 +33,139 @@ impl Block {
         self.weight[l] = weight;
     }
 
-    /// Transformed points of both sides and their distances.
+    /// One side's point of a match, with its centre.
+    pub(crate) fn point(&self, l: usize, first: bool, centre: [f32; 3]) -> [f32; 3] {
+        let lanes = if first { &self.p } else { &self.q };
+        std::array::from_fn(|k| lanes[k][l] + centre[k])
+    }
+
+    /// Transformed points of both sides, their differences and distances.
     #[inline(always)]
-    fn place(&self, (a, b): (&Rigid<f32>, &Rigid<f32>)) -> ([Lane; 3], [Lane; 3], Lane) {
-        let (x, y) = (transform(a, &self.p), transform(b, &self.q));
-        let mut e = [0.0; LANES];
-        for k in 0..3 {
-            for l in 0..LANES {
-                let r = x[k][l] - y[k][l];
-                e[l] += r * r;
-            }
-        }
-        (x, y, e.map(f32::sqrt))
+    fn place<V: Vector>(&self, (a, b): &(Placement<V>, Placement<V>)) -> Placed<V> {
+        let (x, y) = (a.point(V::load3(&self.p)), b.point(V::load3(&self.q)));
+        let r = difference(x, y);
+        Placed { x, y, r, e: dot(r, r).sqrt() }
     }
 }
 
+struct Placed<V> {
+    x: [V; 3],
+    y: [V; 3],
+    r: [V; 3],
+    e: V,
+}
+
 #[inline(always)]
-fn transform(t: &Rigid<f32>, [x, y, z]: &[Lane; 3]) -> [Lane; 3] {
-    let r = &t.r;
-    let mut out = [[0.0; LANES]; 3];
-    for k in 0..3 {
-        for l in 0..LANES {
-            out[k][l] = r[3 * k] * x[l] + r[3 * k + 1] * y[l] + r[3 * k + 2] * z[l] + t.t[k];
-        }
-    }
-    out
+fn placements<V: Vector>((a, b): (&Rigid<f32>, &Rigid<f32>)) -> (Placement<V>, Placement<V>) {
+    (Placement::new(a), Placement::new(b))
 }
 
 /// Sum of the weighted losses.
 #[inline(always)]
-pub(crate) fn cost(blocks: &[Block], poses: (&Rigid<f32>, &Rigid<f32>), delta: f32) -> f64 {
+pub(crate) fn cost<V: Vector>(blocks: &[Block], poses: (&Rigid<f32>, &Rigid<f32>), delta: f32) -> f64 {
+    let (placements, delta) = (placements::<V>(poses), V::splat(delta));
     let mut cost = 0.0;
     for chunk in blocks.chunks(CHUNK) {
-        let mut sum = [0.0; LANES];
+        let mut sum = V::splat(0.0);
         for block in chunk {
-            let (_, _, e) = block.place(poses);
-            let (rho, _) = huber(&e, &block.weight, delta);
-            (0..LANES).for_each(|l| sum[l] += rho[l]);
+            let e = block.place(&placements).e;
+            sum = sum + huber(e, V::load(&block.weight), delta).0;
         }
-        cost += total(&sum);
+        cost += sum.total();
     }
     cost
 }
 
-/// Lanes of [`MatchSums`].
-#[derive(Default)]
-struct Sums {
-    w: Lane,
-    x: [Lane; 3],
-    y: [Lane; 3],
-    xx: [Lane; 6],
-    yy: [Lane; 6],
-    xy: [Lane; 9],
-    r: [Lane; 3],
-    x_cross_r: [Lane; 3],
+/// Lanes of [`PairSums`].
+struct Sums<V> {
+    w: V,
+    m: [V; 3],
+    mm: [V; 6],
+    r: [V; 3],
+    m_cross_r: [V; 3],
 }
 
-impl Sums {
+impl<V: Vector> Sums<V> {
     #[inline(always)]
-    fn add(&mut self, x: &[Lane; 3], y: &[Lane; 3], w: &Lane) {
-        let (mut wx, mut wy, mut r) = ([[0.0; LANES]; 3], [[0.0; LANES]; 3], [[0.0; LANES]; 3]);
-        for k in 0..3 {
-            for l in 0..LANES {
-                wx[k][l] = w[l] * x[k][l];
-                wy[k][l] = w[l] * y[k][l];
-                r[k][l] = w[l] * (x[k][l] - y[k][l]);
-                self.x[k][l] += wx[k][l];
-                self.y[k][l] += wy[k][l];
-                self.r[k][l] += r[k][l];
-            }
-        }
-        let mut triangle = 0;
-        for a in 0..3 {
-            for b in 0..3 {
-                for l in 0..LANES {
-                    self.xy[3 * a + b][l] += wx[a][l] * y[b][l];
-                }
-            }
-            for b in 0..=a {
-                for l in 0..LANES {
-                    self.xx[triangle][l] += wx[a][l] * x[b][l];
-                    self.yy[triangle][l] += wy[a][l] * y[b][l];
-                }
-                triangle += 1;
-            }
-            let (b, c) = ((a + 1) % 3, (a + 2) % 3);
-            for l in 0..LANES {
-                self.x_cross_r[a][l] += x[b][l] * r[c][l] - x[c][l] * r[b][l];
-            }
-        }
-        (0..LANES).for_each(|l| self.w[l] += w[l]);
+    fn zero() -> Self {
+        let zero = V::splat(0.0);
+        Self { w: zero, m: [zero; 3], mm: [zero; 6], r: [zero; 3], m_cross_r: [zero; 3] }
     }
 
     #[inline(always)]
-    fn add_to(&self, sums: &mut MatchSums) {
-        fn each<const N: usize>(lanes: &[Lane; N], sums: &mut [f64; N]) {
-            lanes.iter().zip(sums).for_each(|(lane, sum)| *sum += total(lane));
+    fn add(&mut self, placed: &Placed<V>, w: V) {
+        let half = V::splat(0.5);
+        let turn = cross(placed.x, placed.r);
+        self.w = self.w + w;
+        let mut m = [w; 3];
+        for k in 0..3 {
+            m[k] = half * (placed.x[k] + placed.y[k]);
+            self.r[k] = self.r[k] + w * placed.r[k];
+            self.m_cross_r[k] = self.m_cross_r[k] + w * turn[k];
         }
-        sums.w += total(&self.w);
-        each(&self.x, &mut sums.x);
-        each(&self.y, &mut sums.y);
-        each(&self.xx, &mut sums.xx);
-        each(&self.yy, &mut sums.yy);
-        each(&self.xy, &mut sums.xy);
-        each(&self.r, &mut sums.r);
-        each(&self.x_cross_r, &mut sums.x_cross_r);
+        let mut triangle = 0;
+        for a in 0..3 {
+            let wm = w * m[a];
+            self.m[a] = self.m[a] + wm;
+            for b in 0..=a {
+                self.mm[triangle] = self.mm[triangle] + wm * m[b];
+                triangle += 1;
+            }
+        }
+    }
+
+    #[inline(always)]
+    fn add_to(&self, sums: &mut PairSums) {
+        sums.w += self.w.total();
+        for k in 0..3 {
+            sums.m[k] += self.m[k].total();
+            sums.r[k] += self.r[k].total();
+            sums.m_cross_r[k] += self.m_cross_r[k].total();
+        }
+        for k in 0..6 {
+            sums.mm[k] += self.mm[k].total();
+        }
     }
 }
 
 /// Weighted moments of the transformed points, and the sum of the weighted losses.
 #[inline(always)]
-pub(crate) fn sums(blocks: &[Block], poses: (&Rigid<f32>, &Rigid<f32>), delta: f32) -> (MatchSums, f64) {
-    let mut all = MatchSums::default();
+pub(crate) fn sums<V: Vector>(
+    blocks: &[Block],
+    poses: (&Rigid<f32>, &Rigid<f32>),
+    delta: f32,
+) -> (PairSums, f64) {
+    let (placements, delta) = (placements::<V>(poses), V::splat(delta));
+    let mut all = PairSums::default();
     let mut cost = 0.0;
     for chunk in blocks.chunks(CHUNK) {
-        let mut sums = Sums::default();
-        let mut sum = [0.0; LANES];
+        let mut sums = Sums::<V>::zero();
+        let mut sum = V::splat(0.0);
         for block in chunk {
-            let (x, y, e) = block.place(poses);
-            let (rho, w) = huber(&e, &block.weight, delta);
-            (0..LANES).for_each(|l| sum[l] += rho[l]);
-            sums.add(&x, &y, &w);
+            let placed = block.place(&placements);
+            let (rho, w) = huber(placed.e, V::load(&block.weight), delta);
+            sum = sum + rho;
+            sums.add(&placed, w);
         }
-        cost += total(&sum);
+        cost += sum.total();
         sums.add_to(&mut all);
     }
     (all, cost)
 }
 
-/// Calls `f(x, y, distance, weight)` for the first `count` matches.
-pub(crate) fn for_each(
-    blocks: &[Block],
-    count: usize,
-    poses: (&Rigid<f32>, &Rigid<f32>),
-    mut f: impl FnMut([f64; 3], [f64; 3], f64, f64),
-) {
-    for (b, block) in blocks.iter().enumerate() {
-        let (x, y, e) = block.place(poses);
-        for l in 0..LANES.min(count.saturating_sub(b * LANES)) {
-            let of = |lanes: &[Lane; 3]| widen([lanes[0][l], lanes[1][l], lanes[2][l]]);
-            f(of(&x), of(&y), f64::from(e[l]), f64::from(block.weight[l]));
+/// How well the matches agree.
+#[inline(always)]
+pub(crate) fn tally<V: Vector>(blocks: &[Block], poses: (&Rigid<f32>, &Rigid<f32>), delta: f32) -> Tally {
+    let (placements, delta) = (placements::<V>(poses), V::splat(delta));
+    let mut tally = Tally::default();
+    for chunk in blocks.chunks(CHUNK) {
+        let mut sums = stats::Sums::<V>::default();
+        for block in chunk {
+            sums.add(block.place(&placements).e, V::load(&block.weight), delta);
         }
+        sums.add_to(&mut tally);
     }
+    tally
 }
 
 #[cfg(test)]
@@ -182,6 +175,9 @@ mod tests {
     use rand_pcg::Pcg64Mcg;
 
     use super::*;
+    use crate::lanes::LANES;
+    use crate::simd::{self, Portable};
+    use crate::stats::Residuals;
 
     #[test]
     fn lanes_equal_double_precision_match_by_match() {
@@ -192,8 +188,9 @@ mod tests {
         let (exact_a, exact_b) = (Rigid::<f64>::new(&pose_a), Rigid::<f64>::new(&pose_b));
         let delta = 0.005;
         for count in [0, 1, 8, 9, 64, 65, 203] {
+            let (mut all, mut inliers) = (Residuals::default(), 0.0);
             let mut blocks = vec![Block::default(); usize::div_ceil(count, LANES)];
-            let (mut expected, mut expected_cost) = (MatchSums::default(), 0.0);
+            let (mut expected, mut expected_cost) = (PairSums::default(), 0.0);
             for k in 0..count {
                 let p = [0; 3].map(|_| rng.random_range(-0.1f32..0.1));
                 let q = p.map(|x| x + rng.random_range(-0.006f32..0.006));
@@ -203,15 +200,28 @@ mod tests {
                 let (rho, w) = crate::jacobian::huber((Vector3::from(x) - Vector3::from(y)).norm(), delta);
                 expected_cost += f64::from(weight) * rho;
                 expected.add(x, y, f64::from(weight) * w);
+                let distance = (Vector3::from(x) - Vector3::from(y)).norm();
+                inliers += f64::from(u8::from(all.add(distance, delta, f64::from(weight))));
             }
-            let (got, got_cost) = sums(&blocks, (&a, &b), delta as f32);
-            let (got, expected) = (got.finish(), expected.finish());
-            for (got, expected) in [(got.ii, expected.ii), (got.jj, expected.jj), (got.ij, expected.ij)] {
-                assert!((got - expected).amax() <= 2e-6 * expected.amax(), "{count}: {got}{expected}");
-            }
-            assert!((got.g - expected.g).amax() <= 1e-5 * (1e-3 + expected.g.amax()));
+            let (got, got_cost) = sums::<Portable>(&blocks, (&a, &b), delta as f32);
+            let ((h, g), (expected_h, expected_g)) = (got.finish(), expected.finish());
+            assert!((h - expected_h).amax() <= 2e-6 * expected_h.amax(), "{count}: {h}{expected_h}");
+            assert!((g - expected_g).amax() <= 1e-5 * (1e-3 + expected_g.amax()));
+            let (wide, wide_cost) = simd::feature_sums(&blocks, (&a, &b), delta as f32);
+            assert_eq!(
+                (wide.finish(), wide_cost),
+                ((h, g), got_cost),
+                "every instruction set: the same bits"
+            );
             assert!((got_cost - expected_cost).abs() <= 1e-5 * expected_cost);
-            assert_eq!(got_cost, cost(&blocks, (&a, &b), delta as f32), "the same sums, bit for bit");
+            let costs = [cost::<Portable>, simd::feature_cost].map(|c| c(&blocks, (&a, &b), delta as f32));
+            assert_eq!(costs, [got_cost; 2], "the same sums, bit for bit");
+            let tallies =
+                [tally::<Portable>, simd::feature_tally].map(|t| t(&blocks, (&a, &b), delta as f32));
+            assert_eq!(tallies[0], tallies[1]);
+            let mut counted = Residuals::default();
+            assert_eq!(counted.add_edge(&tallies[0]) as f64, inliers);
+            assert!((counted.rms() - all.rms()).abs() <= 1e-5 * all.rms());
         }
     }
 }

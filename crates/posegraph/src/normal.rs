@@ -15,6 +15,16 @@ pub(crate) struct NormalEquations {
     step: DVector<f64>,
 }
 
+/// What an edge that sees its two nodes only relative to each other adds: their blocks are `h`, `h` and `-h`, the
+/// gradients `g` (first) and `-g` (second).
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct PairBlocks {
+    pub(crate) nodes: (usize, usize),
+    pub(crate) h: Matrix6<f64>,
+    pub(crate) g: Vector6<f64>,
+    pub(crate) cost: f64,
+}
+
 impl NormalEquations {
     /// One 6-vector unknown for each node that is not in `eliminated`.
     pub(crate) fn new(eliminated: &[bool]) -> Self {
@@ -78,6 +88,14 @@ impl NormalEquations {
         }
     }
 
+    /// Adds an edge's blocks and gradients and returns its cost.
+    pub(crate) fn add_pair(&mut self, PairBlocks { nodes: (a, b), h, g, cost }: &PairBlocks) -> f64 {
+        self.add(*a, h, g);
+        self.add(*b, h, &-g);
+        self.add_cross(*a, *b, &-h);
+        *cost
+    }
+
     pub(crate) fn gradient_is_zero(&self) -> bool {
         self.g.iter().all(|&g| g == 0.0)
     }
@@ -130,16 +148,18 @@ impl NormalEquations {
 
     /// Marginal covariance of every node; `None` for eliminated nodes and where `H` is singular.
     pub(crate) fn covariances(&self) -> Vec<Option<Matrix6<f64>>> {
-        let inverse = self.inverse();
+        let inverse = self.inverse_factor();
         let block = |node: usize| {
-            let a = self.slot(node)?;
-            inverse.as_ref().map(|m| m.fixed_view::<6, 6>(6 * a, 6 * a).into_owned())
+            let a = 6 * self.slot(node)?;
+            let columns = inverse.as_ref()?.view_range(a.., a..a + 6);
+            Some(Matrix6::from_fn(|r, c| columns.column(r).dot(&columns.column(c))))
         };
         (0..self.slots.len()).map(block).collect()
     }
 
-    /// `H^-1`, after scaling to a unit diagonal so that "singular" does not depend on units.
-    fn inverse(&self) -> Option<DMatrix<f64>> {
+    /// `L^-1` with `H^-1 = L^-T L^-1`. Decided after scaling to a unit diagonal, so that "singular" does not depend on
+    /// units.
+    fn inverse_factor(&self) -> Option<DMatrix<f64>> {
         let n = self.g.len();
         if (0..n).any(|k| self.h[(k, k)] <= 0.0) {
             return None;
@@ -147,34 +167,42 @@ impl NormalEquations {
         let scale = DVector::from_fn(n, |k, _| 1.0 / self.h[(k, k)].sqrt());
         let scaled = DMatrix::from_fn(n, n, |r, c| self.h[(r, c)] * scale[r] * scale[c]);
         let factor: Cholesky<f64, Dyn> = Cholesky::new(scaled)?;
-        let smallest = (0..n).map(|k| factor.l_dirty()[(k, k)]).fold(f64::INFINITY, f64::min);
+        let l = factor.l_dirty();
+        let smallest = (0..n).map(|k| l[(k, k)]).fold(f64::INFINITY, f64::min);
         if smallest.is_nan() || smallest * smallest < 1e-11 {
             return None;
         }
-        let inverse = factor.inverse();
-        Some(DMatrix::from_fn(n, n, |r, c| inverse[(r, c)] * scale[r] * scale[c]))
+        let mut inverse = DMatrix::zeros(n, n);
+        for c in 0..n {
+            inverse[(c, c)] = 1.0;
+            // Rows above the diagonal stay zero.
+            let mut column = inverse.view_range_mut(c.., c);
+            l.view_range(c.., c..).solve_lower_triangular_mut(&mut column);
+        }
+        (0..n).for_each(|c| inverse.column_mut(c).scale_mut(scale[c]));
+        Some(inverse)
     }
 
-    /// Information on `node` when all other free nodes are marginalised out (Schur complement). Directions in which
-    /// the others are loose are regularised with 1e-9 of their diagonal.
-    pub(crate) fn marginal_information(&self, node: usize) -> Option<Matrix6<f64>> {
-        let a = 6 * self.slot(node)?;
+    /// Information on the last free node when all others are marginalised out: a Schur complement, which is what the
+    /// factor ends with. Directions in which the others are loose are regularised with 1e-9 of their diagonal.
+    pub(crate) fn last_information(&self) -> Option<Matrix6<f64>> {
         let n = self.g.len();
-        let full = |r: usize, c: usize| if r >= c { self.h[(r, c)] } else { self.h[(c, r)] };
-        let own = Matrix6::from_fn(|r, c| full(a + r, a + c));
-        let others: Vec<usize> = (0..n).filter(|k| !(a..a + 6).contains(k)).collect();
-        if others.is_empty() {
-            return Some(own);
+        let first = n.checked_sub(6)?;
+        let floor = 1e-12 * self.h.diagonal().amax().max(f64::MIN_POSITIVE);
+        // The last block takes part only as what the others are to be subtracted from.
+        let mut others = self.h.view((0, 0), (first, first)).into_owned();
+        for k in 0..first {
+            others[(k, k)] += 1e-9 * others[(k, k)] + floor;
         }
-        let floor = 1e-9 * self.h.diagonal().amax().max(f64::MIN_POSITIVE);
-        let rest = DMatrix::from_fn(others.len(), others.len(), |r, c| {
-            let h = full(others[r], others[c]);
-            if r == c { h + 1e-9 * h + floor * 1e-3 } else { h }
-        });
-        let cross = DMatrix::from_fn(others.len(), 6, |r, c| full(others[r], a + c));
-        let solved = Cholesky::new(rest)?.solve(&cross);
-        let schur = cross.transpose() * solved;
-        Some(own - schur.fixed_view::<6, 6>(0, 0))
+        let own = self.h.fixed_view::<6, 6>(first, first);
+        let mut own = Matrix6::from_fn(|r, c| if r >= c { own[(r, c)] } else { own[(c, r)] });
+        if first > 0 {
+            let mut cross = self.h.view((first, 0), (6, first)).transpose();
+            let factor = Cholesky::new(others)?;
+            factor.l_dirty().solve_lower_triangular_mut(&mut cross);
+            own -= Matrix6::from_fn(|r, c| cross.column(r).dot(&cross.column(c)));
+        }
+        Some(own)
     }
 }
 

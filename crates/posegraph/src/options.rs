@@ -41,9 +41,10 @@ pub struct SolveOptions {
     pub sdf_cap: f64,
     /// Source pixels of one dense edge at most, spread evenly over the valid ones.
     pub max_dense_per_edge: usize,
-    /// Half width of the association window at the first iteration, pixels.
+    /// Pixels less than this away from the projection, in both directions, are compared at the first iteration; at
+    /// least 1.
     pub association_radius_initial: usize,
-    /// Half width of the association window from `tighten_iterations` on, pixels.
+    /// The same from `tighten_iterations` on; at least 1.
     pub association_radius: usize,
     /// Distance gate of the association at the first iteration, metres.
     pub max_distance_initial: f64,
@@ -114,16 +115,6 @@ pub(crate) struct Gates {
     pub(crate) last: bool,
 }
 
-impl Gates {
-    /// Whether all that passes these gates passes the others, and the same samples are asked for.
-    pub(crate) fn are_within(&self, other: &Self) -> bool {
-        self.last == other.last
-            && self.radius <= other.radius
-            && self.max_distance <= other.max_distance
-            && self.min_cosine >= other.min_cosine
-    }
-}
-
 impl SolveOptions {
     /// Gates at `iteration`; linear from the first to the last value.
     pub(crate) fn gates(&self, iteration: usize) -> Gates {
@@ -134,8 +125,9 @@ impl SolveOptions {
         };
         let mix = |first: f64, last: f64| first + (last - first) * t;
         Gates {
-            radius: mix(self.association_radius_initial as f64, self.association_radius as f64).round()
-                as usize,
+            radius: mix(self.association_radius_initial as f64, self.association_radius as f64)
+                .round()
+                .max(1.0) as usize,
             max_distance: mix(self.max_distance_initial, self.max_distance) as f32,
             min_cosine: mix(self.max_normal_angle_initial, self.max_normal_angle).cos() as f32,
             last: t >= 1.0,

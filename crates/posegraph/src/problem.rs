@@ -1,30 +1,29 @@
 //! The graph compiled for one solve: usable residuals only, buffers allocated once, fixed nodes left out.
 
-use nalgebra::Isometry3;
+use nalgebra::{Isometry3, Point3};
 
 use crate::cloud::Cloud;
-use crate::dense::{DenseBlocks, DenseTerm};
+use crate::dense::{DenseTerm, coarse_samples};
 use crate::feature::FeatureTerm;
 use crate::graph::{PoseGraph, PosePrior};
-use crate::normal::NormalEquations;
+use crate::normal::{NormalEquations, PairBlocks};
 use crate::options::SolveOptions;
 use crate::parallel;
 use crate::prior;
 use crate::sdf::SdfUnary;
-use crate::stats::{Extent, Residuals};
-use crate::transform::Rigid;
+use crate::stats::{Extent, Residuals, Tally};
 
 pub(crate) struct Problem<'a> {
     features: Vec<FeatureTerm>,
     dense: Vec<DenseTerm>,
     /// Views of the nodes that have a dense edge.
     clouds: Vec<Option<Cloud<'a>>>,
-    /// Results of the dense edges, in their order.
-    dense_blocks: Vec<DenseBlocks>,
-    dense_costs: Vec<f64>,
+    /// Results of the feature or dense edges, in their order.
+    blocks: Vec<PairBlocks>,
+    costs: Vec<f64>,
+    tallies: Vec<Tally>,
     sdf: Vec<SdfUnary<'a>>,
     priors: Vec<PosePrior>,
-    rigid: Vec<Rigid>,
 }
 
 /// What the residuals of a kind look like at some poses.
@@ -43,21 +42,20 @@ impl<'a> Problem<'a> {
         let free = |node: usize| normal.is_free(node);
         let mut features = Vec::new();
         if options.feature_weight > 0.0 {
-            for (index, edge) in graph.feature_edges.iter().enumerate() {
-                if free(edge.i) || free(edge.j) {
-                    features.push(FeatureTerm::new(index, edge, options));
-                }
-            }
+            let edges = graph.feature_edges.iter().enumerate().filter(|(_, e)| free(e.i) || free(e.j));
+            let edges: Vec<_> = edges.collect();
+            parallel::map_into(&edges, &mut features, |(index, edge)| {
+                FeatureTerm::new(*index, edge, options)
+            });
         }
         let mut dense = Vec::new();
-        let edges = graph.dense_edges.len();
         let mut has_dense = vec![false; graph.nodes.len()];
         if options.dense_weight > 0.0 {
             for (index, edge) in graph.dense_edges.iter().enumerate() {
                 if free(edge.source) || free(edge.target) {
                     has_dense[edge.source] = true;
                     has_dense[edge.target] = true;
-                    dense.push(DenseTerm::new((index, edges), (edge.source, edge.target), options));
+                    dense.push(DenseTerm::new(index, (edge.source, edge.target), options));
                 }
             }
         }
@@ -65,28 +63,23 @@ impl<'a> Problem<'a> {
         dense.sort_by_key(|t: &DenseTerm| t.target);
         let views: Vec<_> = graph.views.iter().zip(has_dense).map(|(&v, used)| v.filter(|_| used)).collect();
         let mut clouds = Vec::new();
-        parallel::map_into(&views, &mut clouds, |view| view.map(|view| Cloud::new(view, options)));
+        let coarse = coarse_samples(graph.dense_edges.len());
+        parallel::map_into(&views, &mut clouds, |view| view.map(|view| Cloud::new(view, options, coarse)));
         let with_sdf = graph.sdf_terms.iter().filter(|t| free(t.node) && options.sdf_weight > 0.0);
         Self {
             features,
-            dense_blocks: Vec::with_capacity(dense.len()),
-            dense_costs: Vec::with_capacity(dense.len()),
+            blocks: Vec::new(),
+            costs: Vec::new(),
+            tallies: Vec::new(),
             dense,
             clouds,
             sdf: with_sdf.map(|t| SdfUnary::new(t, options)).collect(),
             priors: graph.priors.iter().filter(|p| free(p.node)).copied().collect(),
-            rigid: graph.nodes.iter().map(|n| Rigid::<f64>::new(&n.obj_from_cam)).collect(),
         }
     }
 
     pub(crate) fn has_dense(&self) -> bool {
         !self.dense.is_empty()
-    }
-
-    fn update_rigid(&mut self, poses: &[Isometry3<f64>]) {
-        for (rigid, pose) in self.rigid.iter_mut().zip(poses) {
-            *rigid = Rigid::<f64>::new(pose);
-        }
     }
 
     /// Fixes the dense correspondences for the steps that follow.
@@ -102,11 +95,11 @@ impl<'a> Problem<'a> {
 
     /// Cost under the current correspondences.
     pub(crate) fn cost(&mut self, poses: &[Isometry3<f64>]) -> f64 {
-        self.update_rigid(poses);
         let mut cost = 0.0;
-        cost += self.features.iter().map(|t| t.cost(poses)).sum::<f64>();
-        parallel::map_into(&self.dense, &mut self.dense_costs, |t| t.cost(poses));
-        cost += self.dense_costs.iter().sum::<f64>();
+        parallel::map_into(&self.features, &mut self.costs, |t| t.cost(poses));
+        cost += self.costs.iter().sum::<f64>();
+        parallel::map_into(&self.dense, &mut self.costs, |t| t.cost(poses));
+        cost += self.costs.iter().sum::<f64>();
         cost += self.sdf.iter_mut().map(|t| t.cost(poses)).sum::<f64>();
         cost += self.priors.iter().map(|p| prior::cost(p, poses)).sum::<f64>();
         cost
@@ -114,29 +107,30 @@ impl<'a> Problem<'a> {
 
     /// Builds the normal equations and returns the cost; makes the current SDF points the reference set.
     pub(crate) fn linearise(&mut self, poses: &[Isometry3<f64>], normal: &mut NormalEquations) -> f64 {
-        self.update_rigid(poses);
         normal.clear();
         let mut cost = 0.0;
-        cost += self.features.iter().map(|t| t.linearise(poses, normal)).sum::<f64>();
-        parallel::map_into(&self.dense, &mut self.dense_blocks, |t| t.linearise(poses));
-        cost += self.dense.iter().zip(&self.dense_blocks).map(|(t, b)| t.add(b, normal)).sum::<f64>();
+        parallel::map_into(&self.features, &mut self.blocks, |t| t.linearise(poses));
+        cost += self.blocks.iter().map(|b| normal.add_pair(b)).sum::<f64>();
+        parallel::map_into(&self.dense, &mut self.blocks, |t| t.linearise(poses));
+        cost += self.blocks.iter().map(|b| normal.add_pair(b)).sum::<f64>();
         cost += self.sdf.iter_mut().map(|t| t.linearise(poses, normal)).sum::<f64>();
         cost += self.priors.iter().map(|p| prior::linearise(p, poses, normal)).sum::<f64>();
         cost
     }
 
     pub(crate) fn summary(&mut self, poses: &[Isometry3<f64>], graph: &PoseGraph<'_>) -> Summary {
-        self.update_rigid(poses);
         let mut s = Summary {
             feature_inliers: vec![0; graph.feature_edges.len()],
             dense_inliers: vec![0; graph.dense_edges.len()],
             ..Summary::default()
         };
-        for t in &self.features {
-            s.feature_inliers[t.edge] = t.residuals(poses, &mut s.feature);
+        parallel::map_into(&self.features, &mut self.tallies, |t| t.tally(poses));
+        for (t, tally) in self.features.iter().zip(&self.tallies) {
+            s.feature_inliers[t.edge] = s.feature.add_edge(tally);
         }
-        for t in &self.dense {
-            s.dense_inliers[t.edge] = t.residuals(poses, &mut s.dense);
+        parallel::map_into(&self.dense, &mut self.tallies, |t| t.tally(poses));
+        for (t, tally) in self.dense.iter().zip(&self.tallies) {
+            s.dense_inliers[t.edge] = s.dense.add_edge(tally);
         }
         for t in &mut self.sdf {
             t.residuals(poses, &mut s.sdf);
@@ -144,13 +138,16 @@ impl<'a> Problem<'a> {
         s
     }
 
-    /// Centre and radius of the points through which `node` is observed.
-    pub(crate) fn extent(&mut self, node: usize, poses: &[Isometry3<f64>]) -> Extent {
-        self.update_rigid(poses);
-        let mut extent = Extent::default();
-        self.features.iter().for_each(|t| t.extent(node, poses, &mut extent));
-        self.dense.iter().for_each(|t| t.extent(node, &self.rigid, &mut extent));
-        self.sdf.iter().for_each(|t| t.extent(node, &self.rigid, &mut extent));
-        extent
+    /// Centre and size, in the object frame, of what `node` at `pose` sees.
+    pub(crate) fn extent(&self, node: usize, pose: &Isometry3<f64>) -> Extent {
+        let in_camera = match self.clouds.get(node) {
+            Some(Some(cloud)) => cloud.extent,
+            _ => {
+                let features = self.features.iter().flat_map(|t| t.points(node));
+                let sdf = self.sdf.iter().filter(|t| t.node == node).flat_map(|t| t.points().iter().copied());
+                Extent::of(features.chain(sdf))
+            }
+        };
+        Extent { centre: (pose * Point3::from(in_camera.centre)).coords, ..in_camera }
     }
 }

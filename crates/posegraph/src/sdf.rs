@@ -6,7 +6,7 @@ use crate::graph::{SdfModel, SdfTerm};
 use crate::jacobian::{RowSums, direction_row, huber};
 use crate::normal::NormalEquations;
 use crate::options::SolveOptions;
-use crate::stats::{Extent, Residuals};
+use crate::stats::Residuals;
 use crate::transform::{Rigid, is_finite, narrow, widen};
 
 /// The usable points of one SDF term and the model's answers at the last pose asked.
@@ -100,10 +100,8 @@ impl<'a> SdfUnary<'a> {
         self.sdf.iter().filter(|s| s.is_finite() && all.add(f64::from(**s), self.delta, 1.0)).count()
     }
 
-    /// Adds the object-frame points of `node`.
-    pub(crate) fn extent(&self, node: usize, poses: &[Rigid], extent: &mut Extent) {
-        if node == self.node {
-            self.points.iter().for_each(|&p| extent.add(poses[node].point(p)));
-        }
+    /// The points, in the camera's frame.
+    pub(crate) fn points(&self) -> &[[f32; 3]] {
+        &self.points
     }
 }

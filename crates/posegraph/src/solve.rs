@@ -69,21 +69,21 @@ pub fn solve(graph: &PoseGraph<'_>, options: &SolveOptions) -> Result<Solution, 
     let mut problem = Problem::new(graph, options, &normal);
     let initial: Vec<Isometry3<f64>> = graph.nodes.iter().map(|n| n.obj_from_cam).collect();
     let mut poses = initial.clone();
-    let (iterations, mut converged) = iterate(&mut problem, &mut normal, &mut poses, options);
+    let mut end = iterate(&mut problem, &mut normal, &mut poses, options);
 
     // One association judges both ends.
     let cost_initial = problem.cost(&initial);
-    let mut cost_final = problem.cost(&poses);
+    let mut cost_final = end.cost.unwrap_or(cost_initial);
     if cost_final.is_nan() || cost_final > cost_initial {
         poses.clone_from(&initial);
         cost_final = cost_initial;
-        converged = false;
+        end = End { converged: false, is_linearised: false, ..end };
     }
     let mut solution = Solution {
         cost_initial,
         cost_final,
-        iterations,
-        converged,
+        iterations: end.iterations,
+        converged: end.converged,
         covariances: vec![None; poses.len()],
         information_eigenvalues: None,
         feature_rms: 0.0,
@@ -93,7 +93,13 @@ pub fn solve(graph: &PoseGraph<'_>, options: &SolveOptions) -> Result<Solution, 
         dense_inliers: Vec::new(),
         poses,
     };
-    describe(&mut solution, graph, &mut problem, &mut normal, options);
+    describe(&mut solution, graph, &mut problem);
+    if options.covariance && normal.free() > 0 {
+        if !end.is_linearised {
+            problem.linearise(&solution.poses, &mut normal);
+        }
+        add_covariances(&mut solution, &problem, &normal);
+    }
     Ok(solution)
 }
 
@@ -108,15 +114,28 @@ fn constants(graph: &PoseGraph<'_>, options: &SolveOptions) -> Vec<bool> {
     constant
 }
 
-/// Improves `poses`; returns the linearisations made and whether a tolerance was reached.
+/// Where the iterations have ended.
+struct End {
+    /// Linearisations made.
+    iterations: usize,
+    /// Whether a tolerance was reached.
+    converged: bool,
+    /// Cost of the poses under the last association; none without a linearisation.
+    cost: Option<f64>,
+    /// Whether the normal equations are those of the poses, but for a step within the tolerances.
+    is_linearised: bool,
+}
+
+/// Improves `poses`.
 fn iterate(
     problem: &mut Problem<'_>,
     normal: &mut NormalEquations,
     poses: &mut [Isometry3<f64>],
     options: &SolveOptions,
-) -> (usize, bool) {
-    if normal.free() == 0 {
-        return (0, true);
+) -> End {
+    let mut end = End { iterations: 0, converged: normal.free() == 0, cost: None, is_linearised: false };
+    if end.converged {
+        return end;
     }
     let mut trial = poses.to_vec();
     let mut damping = options.initial_damping.max(MIN_DAMPING);
@@ -124,8 +143,9 @@ fn iterate(
         problem.associate(poses, iteration, options);
         let settled = !problem.has_dense() || iteration >= options.tighten_iterations;
         let cost = problem.linearise(poses, normal);
+        end = End { iterations: iteration + 1, cost: Some(cost), ..end };
         if !cost.is_finite() || !normal.is_finite() {
-            return (iteration + 1, false);
+            return end;
         }
         let mut small_step = normal.gradient_is_zero();
         if !small_step {
@@ -137,6 +157,7 @@ fn iterate(
                     if trial_cost < cost {
                         small_step |= cost - trial_cost <= options.cost_tolerance * cost;
                         poses.copy_from_slice(&trial);
+                        end.cost = Some(trial_cost);
                         damping = (damping * 0.1).max(MIN_DAMPING);
                         accepted = true;
                         break;
@@ -152,10 +173,10 @@ fn iterate(
             damping = damping.min(1.0);
         }
         if small_step && settled {
-            return (iteration + 1, true);
+            return End { converged: true, is_linearised: true, ..end };
         }
     }
-    (options.max_iterations, false)
+    end
 }
 
 /// `trial = exp(step) * poses`; true if every step is below the tolerances.
@@ -177,31 +198,25 @@ fn apply_step(
 }
 
 /// Fills in the statistics of the poses found.
-fn describe(
-    solution: &mut Solution,
-    graph: &PoseGraph<'_>,
-    problem: &mut Problem<'_>,
-    normal: &mut NormalEquations,
-    options: &SolveOptions,
-) {
+fn describe(solution: &mut Solution, graph: &PoseGraph<'_>, problem: &mut Problem<'_>) {
     let summary = problem.summary(&solution.poses, graph);
     solution.feature_rms = summary.feature.rms();
     solution.dense_rms = summary.dense.rms();
     solution.sdf_rms = summary.sdf.rms();
     solution.feature_inliers = summary.feature_inliers;
     solution.dense_inliers = summary.dense_inliers;
-    if !options.covariance || normal.free() == 0 {
-        return;
-    }
-    problem.linearise(&solution.poses, normal);
+}
+
+/// Fills in what the normal equations at the poses found tell of their uncertainty.
+fn add_covariances(solution: &mut Solution, problem: &Problem<'_>, normal: &NormalEquations) {
     if !normal.is_finite() {
         return;
     }
     solution.covariances = normal.covariances();
-    let newest = (0..graph.nodes.len()).rev().find(|&node| normal.is_free(node));
+    let newest = (0..solution.poses.len()).rev().find(|&node| normal.is_free(node));
     if let Some(newest) = newest {
-        let extent = problem.extent(newest, &solution.poses);
-        let information = normal.marginal_information(newest).map(|m| extent.at_centre(&m));
+        let extent = problem.extent(newest, &solution.poses[newest]);
+        let information = normal.last_information().map(|m| extent.at_centre(&m));
         solution.information_eigenvalues =
             information.filter(|m| m.iter().all(|x| x.is_finite())).map(|m| ascending_eigenvalues(&m));
     }

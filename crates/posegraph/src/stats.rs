@@ -3,6 +3,8 @@
 use nalgebra::{Matrix6, Vector3};
 
 use crate::jacobian::huber;
+use crate::lanes;
+use crate::simd::Vector;
 
 /// Robustly weighted root mean square.
 #[derive(Debug, Clone, Copy, Default)]
@@ -22,39 +24,93 @@ impl Residuals {
         e.abs() <= delta
     }
 
+    /// Adds the residuals of an edge; returns how many lie in the quadratic zone of the loss.
+    pub(crate) fn add_edge(&mut self, tally: &Tally) -> usize {
+        if tally.weight.is_finite() && tally.squares.is_finite() {
+            self.weight += tally.weight;
+            self.squares += tally.squares;
+        }
+        tally.inliers as usize
+    }
+
     /// 0 if there was none.
     pub(crate) fn rms(&self) -> f64 {
         if self.weight > 0.0 { (self.squares / self.weight).sqrt() } else { 0.0 }
     }
 }
 
-/// Centre and radius of a cloud.
+/// The residuals of one edge: sums of robust weights and of weighted squares, and how many matches lie in the quadratic
+/// zone of the loss.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub(crate) struct Tally {
+    pub(crate) weight: f64,
+    pub(crate) squares: f64,
+    pub(crate) inliers: f64,
+}
+
+/// The sums of a few blocks on their way to a [`Tally`].
+pub(crate) struct Sums<V> {
+    weight: V,
+    squares: V,
+    inliers: V,
+}
+
+impl<V: Vector> Default for Sums<V> {
+    #[inline(always)]
+    fn default() -> Self {
+        let zero = V::splat(0.0);
+        Self { weight: zero, squares: zero, inliers: zero }
+    }
+}
+
+impl<V: Vector> Sums<V> {
+    /// Adds eight residuals `e >= 0`; a lane without a match has no weight.
+    #[inline(always)]
+    pub(crate) fn add(&mut self, e: V, weight: V, delta: V) {
+        let (zero, one) = (V::splat(0.0), V::splat(1.0));
+        let (_, w) = lanes::huber(e, weight, delta);
+        self.weight = self.weight + w;
+        self.squares = self.squares + w * e * e;
+        self.inliers = self.inliers + V::if_at_most(e, delta, V::if_less(zero, weight, one, zero), zero);
+    }
+
+    #[inline(always)]
+    pub(crate) fn add_to(&self, tally: &mut Tally) {
+        tally.weight += self.weight.total();
+        tally.squares += self.squares.total();
+        tally.inliers += self.inliers.total();
+    }
+}
+
+/// Centre and size of a cloud.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct Extent {
-    count: f64,
-    sum: [f64; 3],
-    squares: f64,
+    pub(crate) centre: Vector3<f64>,
+    /// Root mean square distance from the centre, metres.
+    pub(crate) radius: f64,
 }
 
 impl Extent {
-    pub(crate) fn add(&mut self, x: [f64; 3]) {
-        self.count += 1.0;
-        for k in 0..3 {
-            self.sum[k] += x[k];
-            self.squares += x[k] * x[k];
+    pub(crate) fn of(points: impl Iterator<Item = [f32; 3]>) -> Self {
+        let (mut count, mut sum, mut squares) = (0.0, Vector3::zeros(), 0.0);
+        for point in points {
+            let point = Vector3::from(point).cast::<f64>();
+            count += 1.0;
+            sum += point;
+            squares += point.norm_squared();
         }
+        let centre = sum / f64::max(count, 1.0);
+        let variance = squares / f64::max(count, 1.0) - centre.norm_squared();
+        Self { centre, radius: variance.max(0.0).sqrt() }
     }
 
     /// Rewrites an information matrix of an object-frame twist for the twist `[v; l phi]` at the cloud's centre, `l`
-    /// its RMS radius. All its eigenvalues are then in 1/m^2: information per squared motion of a typical point.
+    /// its radius. All its eigenvalues are then in 1/m^2: information per squared motion of a typical point.
     pub(crate) fn at_centre(&self, information: &Matrix6<f64>) -> Matrix6<f64> {
-        let n = self.count.max(1.0);
-        let centre = Vector3::from(self.sum) / n;
-        let variance = self.squares / n - centre.norm_squared();
-        let radius = if variance > 1e-12 { variance.sqrt() } else { 0.1 };
+        let radius = if self.radius > 1e-6 { self.radius } else { 0.1 };
         // rho = v + centre x phi.
         let mut b = Matrix6::identity();
-        b.fixed_view_mut::<3, 3>(0, 3).copy_from(&(centre.cross_matrix() / radius));
+        b.fixed_view_mut::<3, 3>(0, 3).copy_from(&(self.centre.cross_matrix() / radius));
         for k in 3..6 {
             b[(k, k)] = 1.0 / radius;
         }

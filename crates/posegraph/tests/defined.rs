@@ -5,7 +5,9 @@ mod common;
 
 use common::{bumpy, matches, motion, node, orbit, render, rng, vector};
 use nalgebra::{Isometry3, Matrix6, Translation3};
-use posegraph::{DenseEdge, DenseView, Error, FeatureEdge, PoseGraph, PosePrior, SolveOptions, solve};
+use posegraph::{
+    DenseEdge, DenseView, Error, FeatureEdge, Pinhole, PoseGraph, PosePrior, SolveOptions, solve,
+};
 use proptest::prelude::*;
 use rand::RngExt;
 
@@ -97,20 +99,12 @@ fn bad_indices_and_lengths_are_errors() {
     assert!(matches!(graph.add_feature_edge(weights), Err(Error::LengthMismatch { .. })));
     let dense = DenseEdge { source: 0, target: 1 };
     assert_eq!(graph.add_dense_edge(dense), Err(Error::MissingView { node: 0 }));
-    let mut view = DenseView {
-        width: 2,
-        height: 2,
-        fx: 1.0,
-        fy: 1.0,
-        cx: 0.0,
-        cy: 0.0,
-        points: vec![[0.0; 3]; 4],
-        normals: vec![[0.0; 3]; 3],
-    };
-    assert!(matches!(graph.clone().set_view(0, &view), Err(Error::LengthMismatch { .. })));
-    view.normals.push([0.0; 3]);
-    view.fx = f64::NAN;
-    assert_eq!(graph.clone().set_view(0, &view), Err(Error::InvalidCamera { node: 0 }));
+    let camera = Pinhole { fx: 1.0, fy: 1.0, cx: 0.0, cy: 0.0 };
+    let view = |camera, normals: &[[f32; 3]]| DenseView::new((2, 2), camera, &[[0.0; 3]; 4], normals);
+    assert!(matches!(view(camera, &[[0.0; 3]; 3]), Err(Error::LengthMismatch { .. })));
+    let broken = Pinhole { fx: f64::NAN, ..camera };
+    assert_eq!(view(broken, &[[0.0; 3]; 4]), Err(Error::InvalidCamera));
+    let view = view(camera, &[[0.0; 3]; 4]).unwrap();
     assert!(matches!(graph.clone().set_view(7, &view), Err(Error::NodeOutOfRange { .. })));
     let prior = |information| PosePrior { node: 1, obj_from_cam: Isometry3::identity(), information };
     for bad in [Matrix6::from_element(f64::NAN), -Matrix6::identity()] {

@@ -2,7 +2,7 @@
 #![allow(dead_code, clippy::unwrap_used, clippy::expect_used, unreachable_pub)]
 
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3, Vector6};
-use posegraph::{DenseView, FeatureEdge, Node};
+use posegraph::{DenseView, FeatureEdge, Node, Pinhole};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 use se3_lie::se3;
@@ -104,6 +104,25 @@ pub fn render(
     noise: f64,
     rng: &mut Pcg64Mcg,
 ) -> DenseView {
+    let (points, normals) = images(f, obj_from_cam, size, noise, rng);
+    view(size, &points, &normals)
+}
+
+/// A view of these square images.
+pub fn view(size: usize, points: &[[f32; 3]], normals: &[[f32; 3]]) -> DenseView {
+    let (focal, centre) = (2.0 * size as f64, (size as f64 - 1.0) / 2.0);
+    let camera = Pinhole { fx: focal, fy: focal, cx: centre, cy: centre };
+    DenseView::new((size, size), camera, points, normals).unwrap()
+}
+
+/// Points and normals, camera frame, of the zero level of `f`.
+pub fn images(
+    f: impl Fn(&Vector3<f64>) -> f64 + Copy,
+    obj_from_cam: &Isometry3<f64>,
+    size: usize,
+    noise: f64,
+    rng: &mut Pcg64Mcg,
+) -> (Vec<[f32; 3]>, Vec<[f32; 3]>) {
     let (focal, centre) = (2.0 * size as f64, (size as f64 - 1.0) / 2.0);
     let (mut points, mut normals) = (Vec::new(), Vec::new());
     for v in 0..size {
@@ -122,5 +141,5 @@ pub fn render(
             normals.push(if hit { [normal.x as f32, normal.y as f32, normal.z as f32] } else { [0.0; 3] });
         }
     }
-    DenseView { width: size, height: size, fx: focal, fy: focal, cx: centre, cy: centre, points, normals }
+    (points, normals)
 }
