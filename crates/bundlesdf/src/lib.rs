@@ -65,7 +65,10 @@ pub use output::OutputFolder;
 pub use pool::{Keyframe, MemoryPool};
 pub use report::{KeyframeReport, RoundReport, RunReport};
 pub use segmenter::SegmenterChoice;
-pub use tracker::{FieldSummary, FrameResult, Reconstruction, StageTimes, Status, Tracker};
+pub use tracker::{
+    FieldSummary, FrameResult, HeldMotion, MotionKind, Reconstruction, StageTimes, Status, Tracker,
+    Uncertainty,
+};
 pub use video::{Observer, RunError, RunSoFar, VideoRun, continue_video, run_video};
 
 #[cfg(doctest)]

@@ -12,7 +12,7 @@ use crate::{
     input::VideoInput,
     pool::Keyframe,
     refine::RefinedKeyframe,
-    tracker::{FieldSummary, FrameResult, Status},
+    tracker::{FieldSummary, FrameResult, HeldMotion, Status},
     video::VideoRun,
 };
 
@@ -61,6 +61,9 @@ pub struct FrameReport {
     pub inliers: usize,
     /// Share of the compared depth that agrees with the pose.
     pub depth_agreement: f64,
+    /// Motions of the object that can't be seen in this frame: along these its pose is held.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub held: Vec<HeldMotion>,
     /// Whether it became a keyframe.
     pub keyframe: bool,
     /// Milliseconds by stage.
@@ -138,6 +141,7 @@ impl FrameReport {
             status: result.status,
             inliers: result.inliers,
             depth_agreement: (result.depth_agreement * 1e3).round() / 1e3,
+            held: result.uncertainty.iter().flat_map(|u| u.held.iter().map(HeldMotion::rounded)).collect(),
             keyframe: result.keyframe,
             ms: StageMillis {
                 segment: ms(t.segment),

@@ -31,6 +31,7 @@ fn results(root: &Path, mesh: TriMesh) -> OutputFolder {
             status: if index == 3 { Status::Lost } else { Status::Tracked },
             inliers: 40 + index,
             depth_agreement: 0.9,
+            uncertainty: None,
             keyframe: index % 2 == 0,
             times: StageTimes { total: Duration::from_millis(40), ..StageTimes::default() },
         };

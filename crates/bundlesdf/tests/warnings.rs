@@ -3,7 +3,8 @@
 
 mod support;
 
-use bundlesdf::{Schedule, VideoRun, Warning, WarningKind};
+use bundlesdf::{MotionKind, Schedule, VideoRun, Warning, WarningKind};
+use nalgebra::{Point3, Vector3};
 use rgbd_io::{Image, RgbdFrame};
 use rgbd_synth::{Masks, Sequence};
 use support::{Video, bundlesdf, frames, run, run_args, video_folder, without_field};
@@ -126,6 +127,19 @@ fn an_object_without_texture_and_with_symmetry_is_told() {
     let run = track((0..18).map(|i| video.render(i * 2).frame).collect());
     let warning = run.warnings.iter().find(|w| w.kind == WarningKind::UnobservableMotion);
     assert!(warning.unwrap_or_else(|| panic!("{:?}", run.warnings)).remedy.contains("labels"));
+    // Frame by frame, the result names the motion: the turn about the can's axis.
+    let axis = run.frames[0].cam_from_obj.inverse() * video.cam_from_obj(0) * Vector3::y();
+    let centre = run.frames[0].cam_from_obj.inverse() * video.cam_from_obj(0) * Point3::origin();
+    let mut held = 0;
+    for motion in run.frames.iter().filter_map(|f| f.uncertainty.as_ref()).flat_map(|u| &u.held) {
+        assert_eq!(motion.kind, MotionKind::Turn);
+        let (direction, through) = (Vector3::from(motion.direction), Point3::from(motion.through));
+        let off = direction.dot(&axis).abs().min(1.0).acos().to_degrees();
+        let beside = (centre - through).cross(&direction).norm();
+        assert!(off < 8.0 && beside < 0.008, "{off} degrees, {beside} m");
+        held += 1;
+    }
+    assert!(2 * held > run.frames.len(), "{held}");
 }
 
 #[test]

@@ -6,6 +6,7 @@ use crate::cloud::Cloud;
 use crate::jacobian::lift;
 use crate::matches::Matches;
 use crate::normal::PairBlocks;
+use crate::observability::noise_information;
 use crate::options::{Gates, SolveOptions};
 use crate::simd;
 use crate::stats::Tally;
@@ -115,12 +116,14 @@ impl DenseTerm {
     pub(crate) fn linearise(&self, poses: &[Isometry3<f64>]) -> PairBlocks {
         let (sums, cost) = simd::dense_sums(self.matches.blocks(), &self.centred(poses), self.delta as f32);
         let (h, g) = sums.finish();
+        let weight = self.scale * (h[(0, 0)] + h[(1, 1)] + h[(2, 2)]);
+        let noise = noise_information(weight, self.matches.normal_variance());
         // Rows are about the target's centre: lift them from there.
         let centre = Translation3::from(widen(self.matches.target_centre));
         let lift = lift(&(poses[self.target] * centre));
         let h = lift * (h * self.scale) * lift.transpose();
         let nodes = (self.target, self.source);
-        PairBlocks { nodes, h, g: lift * (g * self.scale), cost: self.scale * cost }
+        PairBlocks { nodes, h, g: lift * (g * self.scale), cost: self.scale * cost, noise }
     }
 
     pub(crate) fn tally(&self, poses: &[Isometry3<f64>]) -> Tally {

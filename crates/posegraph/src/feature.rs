@@ -84,7 +84,8 @@ impl FeatureTerm {
         // The sums are about the centre: lift them to the object's origin.
         let lift = lift(&Translation3::from(placed.centre).into());
         let h = lift * (h * self.scale) * lift.transpose();
-        PairBlocks { nodes: (self.i, self.j), h, g: lift * (g * self.scale), cost: self.scale * cost }
+        let (nodes, g, cost) = ((self.i, self.j), lift * (g * self.scale), self.scale * cost);
+        PairBlocks { nodes, h, g, cost, noise: 0.0 }
     }
 
     pub(crate) fn tally(&self, poses: &[Isometry3<f64>]) -> Tally {

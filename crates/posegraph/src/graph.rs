@@ -85,6 +85,7 @@ pub struct PoseGraph<'a> {
     pub(crate) dense_edges: Vec<DenseEdge>,
     pub(crate) sdf_terms: Vec<SdfTerm<'a>>,
     pub(crate) priors: Vec<PosePrior>,
+    pub(crate) predictions: Vec<Option<Isometry3<f64>>>,
 }
 
 impl<'a> PoseGraph<'a> {
@@ -98,6 +99,7 @@ impl<'a> PoseGraph<'a> {
     pub fn add_node(&mut self, node: Node) -> usize {
         self.nodes.push(node);
         self.views.push(None);
+        self.predictions.push(None);
         self.nodes.len() - 1
     }
 
@@ -109,6 +111,22 @@ impl<'a> PoseGraph<'a> {
         self.check_node("view", node)?;
         if let Some(slot) = self.views.get_mut(node) {
             *slot = Some(view);
+        }
+        Ok(())
+    }
+
+    /// Says where a node is expected, camera to object: it stays there in directions that nothing observes
+    /// ([`SolveOptions::hold`](crate::SolveOptions::hold)). By default that is its initial pose.
+    ///
+    /// # Errors
+    /// Unknown node, or a pose that is not finite.
+    pub fn set_prediction(&mut self, node: usize, obj_from_cam: Isometry3<f64>) -> Result<(), Error> {
+        self.check_node("prediction", node)?;
+        if !is_finite_pose(&obj_from_cam) {
+            return Err(Error::NonFinitePose { node });
+        }
+        if let Some(slot) = self.predictions.get_mut(node) {
+            *slot = Some(obj_from_cam);
         }
         Ok(())
     }

@@ -36,6 +36,14 @@
 //! 6x6 blocks: every term adds blocks and nothing else. Points are stored relative to centres near them and summed in
 //! single precision, eight at a time; totals, poses and the system are double.
 //!
+//! # What is not observed
+//! Noise moves a pose along motions that no residual tells of: the turn of a can without print. [`solve`] finds such
+//! motions in every node's information matrix and holds the node there at its prediction
+//! ([`PoseGraph::set_prediction`], by default its initial pose). [`Solution::observability`] names them for the newest
+//! node and has its covariance. "Not observed" is measured, not set: a motion must have more information than the noise
+//! of the normals, known from how much matched normals differ, gives to a surface that slides along itself.
+//!
+//! # Precision
 //! Residuals are divided by their standard deviation, and an edge's weights are capped in sum (see [`SolveOptions`]),
 //! so that the inverse Hessian is usable as a covariance. Results are deterministic.
 //!
@@ -56,6 +64,7 @@ mod lanes;
 mod matches;
 mod moments;
 mod normal;
+mod observability;
 mod options;
 mod parallel;
 mod prior;
@@ -72,6 +81,7 @@ mod view;
 
 pub use error::Error;
 pub use graph::{DenseEdge, FeatureEdge, Node, PoseGraph, PosePrior, SdfModel, SdfTerm};
+pub use observability::{Direction, Observability};
 pub use options::SolveOptions;
 pub use solve::{Solution, solve};
 pub use view::{DenseView, Pinhole};

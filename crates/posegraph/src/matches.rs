@@ -14,6 +14,8 @@ pub(crate) struct Matches {
     /// samples; samples without a match are zero.
     blocks: Vec<Block>,
     count: usize,
+    /// Sum over the matches of the squared difference of the two normals.
+    disagreement: f64,
     pub(crate) source_centre: [f32; 3],
     pub(crate) target_centre: [f32; 3],
     /// Depth noise `a + b z^2`: a and b.
@@ -24,7 +26,7 @@ impl Matches {
     /// Drops all matches.
     pub(crate) fn clear(&mut self) {
         self.blocks.clear();
-        self.count = 0;
+        (self.count, self.disagreement) = (0, 0.0);
     }
 
     /// Matches that are searched from now on are stored relative to these centres.
@@ -48,6 +50,13 @@ impl Matches {
         self.count
     }
 
+    /// Variance of a plane's normal in one tangential direction, radians squared: that of the bisector of two normals
+    /// that differ as the matched ones do.
+    pub(crate) fn normal_variance(&self) -> f64 {
+        // Four errors, two of each normal, make up the difference; the bisector has half of one's variance.
+        self.disagreement / (8.0 * f64::max(self.count as f64, 1.0))
+    }
+
     /// Finds the best match of every sample that these gates ask for.
     #[inline(always)]
     pub(crate) fn search<V: Vector>(
@@ -59,17 +68,18 @@ impl Matches {
         let (samples, _) = source.samples(gates);
         let placement = Placement::<V>::new(transform);
         self.blocks.resize(samples.len(), Block::default());
-        self.count = 0;
+        (self.count, self.disagreement) = (0, 0.0);
+        let centres = (self.source_centre, self.target_centre);
         for (samples, block) in samples.iter().zip(&mut self.blocks) {
             let found = target.find(&placement, samples, gates);
-            fill::<V>(block, samples, &found, (self.source_centre, self.target_centre), self.noise);
+            self.disagreement += fill::<V>(block, samples, &found, centres, self.noise);
             self.count += block.weight.iter().map(|w| usize::from(*w > 0.0)).sum::<usize>();
         }
     }
 }
 
 /// The plane's normal is the bisector of both normals, the weight 1 / variance of both depths. Lanes without a match
-/// become zero.
+/// become zero. Returns the sum of the squared differences of the normals.
 #[inline(always)]
 fn fill<V: Vector>(
     block: &mut Block,
@@ -77,7 +87,7 @@ fn fill<V: Vector>(
     found: &Found<Lane>,
     (source_centre, target_centre): ([f32; 3], [f32; 3]),
     [a, b]: [f32; 2],
-) {
+) -> f64 {
     let (zero, one, none) = (V::splat(0.0), V::splat(1.0), V::splat(f32::INFINITY));
     let (source, q) = (V::load3(&samples.point), V::load3(&found.q));
     let (m, n) = (V::load3(&found.m), V::load3(&found.n));
@@ -95,4 +105,6 @@ fn fill<V: Vector>(
         block.normal[k] = V::if_less(zero, weight, sum[k] * inverse, zero).lane();
     }
     block.weight = weight.lane();
+    let difference = [m[0] - n[0], m[1] - n[1], m[2] - n[2]];
+    V::if_less(zero, weight, dot(difference, difference), zero).total()
 }

@@ -1,6 +1,6 @@
 //! The normal equations over the free nodes and their dense Cholesky solution. Terms only ever add 6x6 blocks.
 
-use nalgebra::{Cholesky, DMatrix, DVector, Dyn, Matrix6, SymmetricEigen, Vector6};
+use nalgebra::{Cholesky, DMatrix, DVector, Dyn, Matrix6, Vector6};
 
 /// `H delta = -g` over the free nodes; only the lower triangle of `H` is kept.
 #[derive(Debug)]
@@ -10,6 +10,8 @@ pub(crate) struct NormalEquations {
     free: usize,
     h: DMatrix<f64>,
     g: DVector<f64>,
+    /// Information that noise in normals gives each free node, see [`PairBlocks::noise`].
+    noise: Vec<f64>,
     /// Buffer that the factorisation consumes and gives back.
     scratch: DMatrix<f64>,
     step: DVector<f64>,
@@ -23,6 +25,8 @@ pub(crate) struct PairBlocks {
     pub(crate) h: Matrix6<f64>,
     pub(crate) g: Vector6<f64>,
     pub(crate) cost: f64,
+    /// What noise in the normals alone gives to any motion, 1/m^2 by the way of a typical point.
+    pub(crate) noise: f64,
 }
 
 impl NormalEquations {
@@ -44,6 +48,7 @@ impl NormalEquations {
             free,
             h: DMatrix::zeros(n, n),
             g: DVector::zeros(n),
+            noise: vec![0.0; free],
             scratch: DMatrix::zeros(n, n),
             step: DVector::zeros(n),
         }
@@ -64,6 +69,7 @@ impl NormalEquations {
     pub(crate) fn clear(&mut self) {
         self.h.fill(0.0);
         self.g.fill(0.0);
+        self.noise.fill(0.0);
     }
 
     /// Adds a node's own block and gradient; ignored for eliminated nodes.
@@ -89,11 +95,29 @@ impl NormalEquations {
     }
 
     /// Adds an edge's blocks and gradients and returns its cost.
-    pub(crate) fn add_pair(&mut self, PairBlocks { nodes: (a, b), h, g, cost }: &PairBlocks) -> f64 {
+    pub(crate) fn add_pair(&mut self, pair: &PairBlocks) -> f64 {
+        let PairBlocks { nodes: (a, b), h, g, .. } = pair;
         self.add(*a, h, g);
         self.add(*b, h, &-g);
         self.add_cross(*a, *b, &-h);
-        *cost
+        self.add_noise(*a, pair.noise);
+        self.add_noise(*b, pair.noise);
+        pair.cost
+    }
+
+    /// Adds to what noise in normals gives a node.
+    pub(crate) fn add_noise(&mut self, node: usize, noise: f64) {
+        if let Some(a) = self.slot(node) {
+            self.noise[a] += noise;
+        }
+    }
+
+    /// A node's own block, and what noise in normals has part in it; `None` for eliminated nodes.
+    pub(crate) fn own(&self, node: usize) -> Option<(Matrix6<f64>, f64)> {
+        let a = self.slot(node)?;
+        let block = self.h.fixed_view::<6, 6>(6 * a, 6 * a);
+        // Terms add to all of it.
+        Some((block.into_owned(), self.noise[a]))
     }
 
     pub(crate) fn gradient_is_zero(&self) -> bool {
@@ -182,34 +206,4 @@ impl NormalEquations {
         (0..n).for_each(|c| inverse.column_mut(c).scale_mut(scale[c]));
         Some(inverse)
     }
-
-    /// Information on the last free node when all others are marginalised out: a Schur complement, which is what the
-    /// factor ends with. Directions in which the others are loose are regularised with 1e-9 of their diagonal.
-    pub(crate) fn last_information(&self) -> Option<Matrix6<f64>> {
-        let n = self.g.len();
-        let first = n.checked_sub(6)?;
-        let floor = 1e-12 * self.h.diagonal().amax().max(f64::MIN_POSITIVE);
-        // The last block takes part only as what the others are to be subtracted from.
-        let mut others = self.h.view((0, 0), (first, first)).into_owned();
-        for k in 0..first {
-            others[(k, k)] += 1e-9 * others[(k, k)] + floor;
-        }
-        let own = self.h.fixed_view::<6, 6>(first, first);
-        let mut own = Matrix6::from_fn(|r, c| if r >= c { own[(r, c)] } else { own[(c, r)] });
-        if first > 0 {
-            let mut cross = self.h.view((first, 0), (6, first)).transpose();
-            let factor = Cholesky::new(others)?;
-            factor.l_dirty().solve_lower_triangular_mut(&mut cross);
-            own -= Matrix6::from_fn(|r, c| cross.column(r).dot(&cross.column(c)));
-        }
-        Some(own)
-    }
-}
-
-/// Eigenvalues of a symmetric matrix, ascending, rounding noise below zero cut off.
-pub(crate) fn ascending_eigenvalues(m: &Matrix6<f64>) -> [f64; 6] {
-    let symmetric = (m + m.transpose()) * 0.5;
-    let mut values: [f64; 6] = SymmetricEigen::new(symmetric).eigenvalues.into();
-    values.sort_by(f64::total_cmp);
-    values.map(|v| v.max(0.0))
 }

@@ -66,7 +66,10 @@ pub struct SolveOptions {
     pub rotation_tolerance: f64,
     /// when the cost sinks by less than this fraction.
     pub cost_tolerance: f64,
-    /// Whether to compute `Solution::covariances` and `Solution::information_eigenvalues`.
+    /// Whether nodes are held at their predictions in directions that the measurements don't observe: those of which
+    /// noise in the normals could as well give all the information.
+    pub hold: bool,
+    /// Whether to compute `Solution::covariances`.
     pub covariance: bool,
 }
 
@@ -100,6 +103,7 @@ impl Default for SolveOptions {
             translation_tolerance: 1e-5,
             rotation_tolerance: 5e-5,
             cost_tolerance: 1e-6,
+            hold: true,
             covariance: true,
         }
     }

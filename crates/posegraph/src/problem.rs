@@ -1,12 +1,13 @@
 //! The graph compiled for one solve: usable residuals only, buffers allocated once, fixed nodes left out.
 
-use nalgebra::{Isometry3, Point3};
+use nalgebra::Isometry3;
 
 use crate::cloud::Cloud;
 use crate::dense::{DenseTerm, coarse_samples};
 use crate::feature::FeatureTerm;
 use crate::graph::{PoseGraph, PosePrior};
 use crate::normal::{NormalEquations, PairBlocks};
+use crate::observability::{Observability, is_fully_observed};
 use crate::options::SolveOptions;
 use crate::parallel;
 use crate::prior;
@@ -24,6 +25,12 @@ pub(crate) struct Problem<'a> {
     tallies: Vec<Tally>,
     sdf: Vec<SdfUnary<'a>>,
     priors: Vec<PosePrior>,
+    /// What each node sees, in its camera's frame; of fixed nodes nothing is needed.
+    extents: Vec<Extent>,
+    /// Where a node is held in directions that are not observed.
+    predictions: Vec<Isometry3<f64>>,
+    /// Priors that hold nodes there, as found at the last linearisation.
+    holds: Vec<PosePrior>,
 }
 
 /// What the residuals of a kind look like at some poses.
@@ -66,7 +73,7 @@ impl<'a> Problem<'a> {
         let coarse = coarse_samples(graph.dense_edges.len());
         parallel::map_into(&views, &mut clouds, |view| view.map(|view| Cloud::new(view, options, coarse)));
         let with_sdf = graph.sdf_terms.iter().filter(|t| free(t.node) && options.sdf_weight > 0.0);
-        Self {
+        let mut problem = Self {
             features,
             blocks: Vec::new(),
             costs: Vec::new(),
@@ -75,7 +82,18 @@ impl<'a> Problem<'a> {
             clouds,
             sdf: with_sdf.map(|t| SdfUnary::new(t, options)).collect(),
             priors: graph.priors.iter().filter(|p| free(p.node)).copied().collect(),
-        }
+            extents: Vec::new(),
+            predictions: graph
+                .nodes
+                .iter()
+                .zip(&graph.predictions)
+                .map(|(n, p)| p.unwrap_or(n.obj_from_cam))
+                .collect(),
+            holds: Vec::new(),
+        };
+        let extent = |node| if free(node) { problem.extent(node) } else { Extent::default() };
+        problem.extents = (0..graph.nodes.len()).map(extent).collect();
+        problem
     }
 
     pub(crate) fn has_dense(&self) -> bool {
@@ -101,7 +119,7 @@ impl<'a> Problem<'a> {
         parallel::map_into(&self.dense, &mut self.costs, |t| t.cost(poses));
         cost += self.costs.iter().sum::<f64>();
         cost += self.sdf.iter_mut().map(|t| t.cost(poses)).sum::<f64>();
-        cost += self.priors.iter().map(|p| prior::cost(p, poses)).sum::<f64>();
+        cost += self.priors.iter().chain(&self.holds).map(|p| prior::cost(p, poses)).sum::<f64>();
         cost
     }
 
@@ -116,6 +134,43 @@ impl<'a> Problem<'a> {
         cost += self.sdf.iter_mut().map(|t| t.linearise(poses, normal)).sum::<f64>();
         cost += self.priors.iter().map(|p| prior::linearise(p, poses, normal)).sum::<f64>();
         cost
+    }
+
+    /// Holds every node at its prediction in the directions that the equations just built don't observe: adds the priors
+    /// that do, and returns their cost.
+    pub(crate) fn hold(&mut self, poses: &[Isometry3<f64>], normal: &mut NormalEquations) -> f64 {
+        self.holds.clear();
+        for (node, pose) in poses.iter().enumerate() {
+            let Some((own, noise)) = normal.own(node) else { continue };
+            let extent = self.extents[node].moved(pose);
+            if is_fully_observed(&own, noise, &extent) {
+                continue;
+            }
+            let observability = Observability::new(node, &own, noise, &extent);
+            if let Some(information) = observability.and_then(|o| o.hold()) {
+                self.holds.push(PosePrior { node, obj_from_cam: self.predictions[node], information });
+            }
+        }
+        self.holds.iter().map(|p| prior::linearise(p, poses, normal)).sum()
+    }
+
+    /// Takes the priors of [`Self::hold`] back, so that the equations tell of measurements alone.
+    pub(crate) fn release(&self, poses: &[Isometry3<f64>], normal: &mut NormalEquations) {
+        for hold in &self.holds {
+            let taken = PosePrior { information: -hold.information, ..*hold };
+            prior::linearise(&taken, poses, normal);
+        }
+    }
+
+    /// What the equations tell of the newest free node, the others given.
+    pub(crate) fn observability(
+        &self,
+        poses: &[Isometry3<f64>],
+        normal: &NormalEquations,
+    ) -> Option<Observability> {
+        let node = (0..poses.len()).rev().find(|&node| normal.is_free(node))?;
+        let (own, noise) = normal.own(node)?;
+        Observability::new(node, &own, noise, &self.extents[node].moved(&poses[node]))
     }
 
     pub(crate) fn summary(&mut self, poses: &[Isometry3<f64>], graph: &PoseGraph<'_>) -> Summary {
@@ -138,16 +193,13 @@ impl<'a> Problem<'a> {
         s
     }
 
-    /// Centre and size, in the object frame, of what `node` at `pose` sees.
-    pub(crate) fn extent(&self, node: usize, pose: &Isometry3<f64>) -> Extent {
-        let in_camera = match self.clouds.get(node) {
-            Some(Some(cloud)) => cloud.extent,
-            _ => {
-                let features = self.features.iter().flat_map(|t| t.points(node));
-                let sdf = self.sdf.iter().filter(|t| t.node == node).flat_map(|t| t.points().iter().copied());
-                Extent::of(features.chain(sdf))
-            }
-        };
-        Extent { centre: (pose * Point3::from(in_camera.centre)).coords, ..in_camera }
+    /// Centre and size of what `node` sees, in its camera's frame.
+    fn extent(&self, node: usize) -> Extent {
+        if let Some(Some(cloud)) = self.clouds.get(node) {
+            return cloud.extent;
+        }
+        let features = self.features.iter().flat_map(|t| t.points(node));
+        let sdf = self.sdf.iter().filter(|t| t.node == node).flat_map(|t| t.points().iter().copied());
+        Extent::of(features.chain(sdf))
     }
 }

@@ -5,9 +5,14 @@ use nalgebra::Isometry3;
 use crate::graph::{SdfModel, SdfTerm};
 use crate::jacobian::{RowSums, direction_row, huber};
 use crate::normal::NormalEquations;
+use crate::observability::noise_information;
 use crate::options::SolveOptions;
 use crate::stats::Residuals;
 use crate::transform::{Rigid, is_finite, narrow, widen};
+
+/// Variance of a model's gradient in one tangential direction, radians squared: a model that was learnt from noisy
+/// depth is off by some degrees.
+const GRADIENT_VARIANCE: f64 = 0.004;
 
 /// The usable points of one SDF term and the model's answers at the last pose asked.
 pub(crate) struct SdfUnary<'a> {
@@ -92,6 +97,8 @@ impl<'a> SdfUnary<'a> {
         self.scale = if count == 0 { 0.0 } else { self.weight * (self.cap / count as f64).min(1.0) };
         let (h, g) = sums.finish();
         normal.add(self.node, &(h * self.scale), &(g * self.scale));
+        let weight = self.scale * (h[(0, 0)] + h[(1, 1)] + h[(2, 2)]);
+        normal.add_noise(self.node, noise_information(weight, GRADIENT_VARIANCE));
         self.scale * cost
     }
 

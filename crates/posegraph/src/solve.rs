@@ -5,7 +5,8 @@ use se3_lie::se3;
 
 use crate::error::Error;
 use crate::graph::{PoseGraph, is_finite_pose};
-use crate::normal::{NormalEquations, ascending_eigenvalues};
+use crate::normal::NormalEquations;
+use crate::observability::Observability;
 use crate::options::SolveOptions;
 use crate::problem::Problem;
 
@@ -32,11 +33,9 @@ pub struct Solution {
     /// Marginal covariance of each node's object-frame twist `[rho; phi]`. `None` for fixed nodes, for all nodes if
     /// some direction is not observed at all, and if the option is off.
     pub covariances: Vec<Option<Matrix6<f64>>>,
-    /// Eigenvalues (ascending, 1/m^2) of the marginal information on the newest node (the last that is free), with
-    /// the twist taken at the centre of its points and rotations scaled by their RMS radius: the information per
-    /// squared metre of motion of a typical point. A first value near zero means that some motion (a slide along a
-    /// plane, a spin about an axis) is not observed. `None` without a free node or if the option is off.
-    pub information_eigenvalues: Option<[f64; 6]>,
+    /// What the measurements tell of the newest node (the last that is free), the others given: in which directions it
+    /// was held. `None` without a free node.
+    pub observability: Option<Observability>,
     /// Robustly weighted RMS of the feature residuals, metres; 0 without any.
     pub feature_rms: f64,
     /// Robustly weighted RMS of the point-to-plane residuals, metres; 0 without any.
@@ -56,7 +55,8 @@ pub struct Solution {
 /// observes stay where they are.
 ///
 /// A step is taken only if it lowers the true robust cost under the association it was computed with; the poses
-/// returned never cost more than the input.
+/// returned never cost more than the input. With [`SolveOptions::hold`] the cost counts what directions that are not
+/// observed have moved from the prediction.
 ///
 /// # Errors
 /// A node whose pose is not finite, or an option out of range.
@@ -85,7 +85,7 @@ pub fn solve(graph: &PoseGraph<'_>, options: &SolveOptions) -> Result<Solution, 
         iterations: end.iterations,
         converged: end.converged,
         covariances: vec![None; poses.len()],
-        information_eigenvalues: None,
+        observability: None,
         feature_rms: 0.0,
         dense_rms: 0.0,
         sdf_rms: 0.0,
@@ -94,11 +94,18 @@ pub fn solve(graph: &PoseGraph<'_>, options: &SolveOptions) -> Result<Solution, 
         poses,
     };
     describe(&mut solution, graph, &mut problem);
-    if options.covariance && normal.free() > 0 {
+    if normal.free() > 0 {
         if !end.is_linearised {
             problem.linearise(&solution.poses, &mut normal);
+        } else {
+            problem.release(&solution.poses, &mut normal);
         }
-        add_covariances(&mut solution, &problem, &normal);
+        if normal.is_finite() {
+            solution.observability = problem.observability(&solution.poses, &normal);
+            if options.covariance {
+                solution.covariances = normal.covariances();
+            }
+        }
     }
     Ok(solution)
 }
@@ -142,7 +149,10 @@ fn iterate(
     for iteration in 0..options.max_iterations {
         problem.associate(poses, iteration, options);
         let settled = !problem.has_dense() || iteration >= options.tighten_iterations;
-        let cost = problem.linearise(poses, normal);
+        let mut cost = problem.linearise(poses, normal);
+        if options.hold {
+            cost += problem.hold(poses, normal);
+        }
         end = End { iterations: iteration + 1, cost: Some(cost), ..end };
         if !cost.is_finite() || !normal.is_finite() {
             return end;
@@ -205,19 +215,4 @@ fn describe(solution: &mut Solution, graph: &PoseGraph<'_>, problem: &mut Proble
     solution.sdf_rms = summary.sdf.rms();
     solution.feature_inliers = summary.feature_inliers;
     solution.dense_inliers = summary.dense_inliers;
-}
-
-/// Fills in what the normal equations at the poses found tell of their uncertainty.
-fn add_covariances(solution: &mut Solution, problem: &Problem<'_>, normal: &NormalEquations) {
-    if !normal.is_finite() {
-        return;
-    }
-    solution.covariances = normal.covariances();
-    let newest = (0..solution.poses.len()).rev().find(|&node| normal.is_free(node));
-    if let Some(newest) = newest {
-        let extent = problem.extent(newest, &solution.poses[newest]);
-        let information = normal.last_information().map(|m| extent.at_centre(&m));
-        solution.information_eigenvalues =
-            information.filter(|m| m.iter().all(|x| x.is_finite())).map(|m| ascending_eigenvalues(&m));
-    }
 }

@@ -1,6 +1,6 @@
 //! Running summaries of residuals and of the points they come from.
 
-use nalgebra::{Matrix6, Vector3};
+use nalgebra::{Isometry3, Matrix6, Point3, Vector3};
 
 use crate::jacobian::huber;
 use crate::lanes;
@@ -104,16 +104,30 @@ impl Extent {
         Self { centre, radius: variance.max(0.0).sqrt() }
     }
 
-    /// Rewrites an information matrix of an object-frame twist for the twist `[v; l phi]` at the cloud's centre, `l`
-    /// its radius. All its eigenvalues are then in 1/m^2: information per squared motion of a typical point.
-    pub(crate) fn at_centre(&self, information: &Matrix6<f64>) -> Matrix6<f64> {
-        let radius = if self.radius > 1e-6 { self.radius } else { 0.1 };
-        // rho = v + centre x phi.
+    /// The arm by which angles count as ways.
+    pub(crate) fn arm(&self) -> f64 {
+        if self.radius > 1e-6 { self.radius } else { 0.1 }
+    }
+
+    /// The same cloud in the frame that `pose` leads to.
+    pub(crate) fn moved(&self, pose: &Isometry3<f64>) -> Self {
+        Self { centre: (pose * Point3::from(self.centre)).coords, ..*self }
+    }
+
+    /// `B` of `[rho; phi] = B [v; arm phi]`, where `v` is the velocity of the centre: in `[v; arm phi]` a unit moves a
+    /// typical point by one metre whatever the direction.
+    pub(crate) fn basis(&self) -> Matrix6<f64> {
         let mut b = Matrix6::identity();
-        b.fixed_view_mut::<3, 3>(0, 3).copy_from(&(self.centre.cross_matrix() / radius));
-        for k in 3..6 {
-            b[(k, k)] = 1.0 / radius;
-        }
-        b.transpose() * information * b
+        b.fixed_view_mut::<3, 3>(0, 3).copy_from(&(self.centre.cross_matrix() / self.arm()));
+        (3..6).for_each(|k| b[(k, k)] = 1.0 / self.arm());
+        b
+    }
+
+    /// `B^-1`.
+    pub(crate) fn inverse_basis(&self) -> Matrix6<f64> {
+        let mut b = Matrix6::identity();
+        b.fixed_view_mut::<3, 3>(0, 3).copy_from(&-self.centre.cross_matrix());
+        (3..6).for_each(|k| b[(k, k)] = self.arm());
+        b
     }
 }

@@ -106,6 +106,12 @@ fn bad_indices_and_lengths_are_errors() {
     assert_eq!(view(broken, &[[0.0; 3]; 4]), Err(Error::InvalidCamera));
     let view = view(camera, &[[0.0; 3]; 4]).unwrap();
     assert!(matches!(graph.clone().set_view(7, &view), Err(Error::NodeOutOfRange { .. })));
+    assert!(matches!(
+        graph.set_prediction(2, Isometry3::identity()),
+        Err(Error::NodeOutOfRange { index: 2, .. })
+    ));
+    let nowhere = Isometry3::translation(f64::NAN, 0.0, 0.0);
+    assert_eq!(graph.set_prediction(1, nowhere), Err(Error::NonFinitePose { node: 1 }));
     let prior = |information| PosePrior { node: 1, obj_from_cam: Isometry3::identity(), information };
     for bad in [Matrix6::from_element(f64::NAN), -Matrix6::identity()] {
         assert_eq!(graph.add_prior(prior(bad)), Err(Error::InvalidInformation { node: 1 }));

@@ -17,7 +17,7 @@ use crate::{
     config::{Config, Schedule},
     input::VideoInput,
     segmenter::SegmenterChoice,
-    tracker::{FrameResult, StageTimes, Status},
+    tracker::{FrameResult, StageTimes, Status, Uncertainty},
     video::RunSoFar,
 };
 
@@ -309,6 +309,7 @@ struct SavedFrame {
     status: Status,
     inliers: usize,
     depth_agreement: f64,
+    uncertainty: Option<Uncertainty>,
     keyframe: bool,
     times: [Duration; 4],
     /// Path, problem and remedy, when the frame's files could not be read.
@@ -325,6 +326,7 @@ impl SavedFrame {
             status: r.status,
             inliers: r.inliers,
             depth_agreement: r.depth_agreement,
+            uncertainty: r.uncertainty.clone(),
             keyframe: r.keyframe,
             times: [t.segment, t.matching, t.posegraph, t.total],
             unreadable: unreadable.map(|e| (e.path.clone(), e.problem.clone(), e.remedy.clone())),
@@ -340,6 +342,7 @@ impl SavedFrame {
             status: self.status,
             inliers: self.inliers,
             depth_agreement: self.depth_agreement,
+            uncertainty: self.uncertainty.clone(),
             keyframe: self.keyframe,
             times: StageTimes { segment, matching, posegraph, total },
         }

@@ -81,7 +81,6 @@ pub struct Diagnostics {
     noticed: BTreeMap<WarningKind, Noticed>,
     cadence: Cadence,
     view: view::View,
-    observability: observability::Observability,
     /// Gathered over the first frames only, and of no use half done.
     #[serde(skip)]
     registration: Registration,
@@ -114,7 +113,7 @@ impl Diagnostics {
             notices.extend(depth);
         }
         notices.extend(self.cadence.missing_before(&frame.id).map(dropped));
-        notices.extend(self.observability.check(result, tracker));
+        notices.extend(observability::check(result));
         notices.extend(self.registration(frame));
         self.frames += 1;
         notices.into_iter().filter_map(|notice| self.note(&frame.id, notice)).collect()

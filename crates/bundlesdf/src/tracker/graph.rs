@@ -5,7 +5,7 @@ use neural_field::TrainedField;
 use posegraph::{DenseEdge, FeatureEdge, Node, PoseGraph, SdfTerm, solve};
 use se3_lie::distance::swing_angle;
 
-use super::correspond::Correspondence;
+use super::{Uncertainty, correspond::Correspondence};
 use crate::{
     config::{GraphConfig, MAX_DENSE_SWING},
     field_model::FieldModel,
@@ -18,6 +18,8 @@ pub(super) struct GraphProblem<'a> {
     pub(super) observation: &'a Observation,
     /// Coarse `obj_from_cam`.
     pub(super) guess: Isometry3<f64>,
+    /// `obj_from_cam` that stands where nothing tells of a motion; `None` = the guess.
+    pub(super) prediction: Option<Isometry3<f64>>,
     pub(super) pool: &'a MemoryPool,
     /// Positions in the pool of the keyframes that take part, oldest first.
     pub(super) selected: &'a [usize],
@@ -35,6 +37,8 @@ pub(super) struct GraphResult {
     pub(super) pose: Isometry3<f64>,
     /// New poses of the keyframes that were free, by position in the pool.
     pub(super) moved: Vec<(usize, Isometry3<f64>)>,
+    /// What is known of the new frame's pose.
+    pub(super) uncertainty: Option<Uncertainty>,
 }
 
 impl MemoryEdge {
@@ -73,6 +77,7 @@ impl GraphProblem<'_> {
         }
         let new = graph.add_node(Node { obj_from_cam: self.guess, fixed: false });
         graph.set_view(new, &self.observation.dense).ok()?;
+        graph.set_prediction(new, self.prediction.unwrap_or(self.guess)).ok()?;
         self.add_memory_edges(&mut graph, new, &fixed)?;
         if let Some((observation, pose, edge)) = self.previous {
             let node = graph.add_node(Node { obj_from_cam: pose, fixed: true });
@@ -95,7 +100,8 @@ impl GraphProblem<'_> {
             iterations = solution.iterations,
             "pose graph"
         );
-        Some(GraphResult { pose, moved })
+        let uncertainty = solution.observability.as_ref().map(Uncertainty::of);
+        Some(GraphResult { pose, moved, uncertainty })
     }
 
     /// Keyframes that the field has refined and the anchor are constants; without any the oldest holds the gauge.

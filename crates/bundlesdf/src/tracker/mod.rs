@@ -9,6 +9,7 @@ pub(crate) mod offline;
 mod result;
 mod rounds;
 mod save;
+mod uncertainty;
 mod verify;
 mod wide;
 
@@ -35,6 +36,7 @@ use self::{
 pub use self::{
     result::{FrameResult, StageTimes, Status},
     rounds::{FieldSummary, Reconstruction},
+    uncertainty::{HeldMotion, MotionKind, Uncertainty},
 };
 use crate::{
     config::{Config, ConfigError, Refiner, Schedule},
@@ -90,6 +92,7 @@ struct Estimate {
     relocalised: bool,
     edges: Vec<(usize, MemoryEdge)>,
     moved: Vec<(usize, Isometry3<f64>)>,
+    uncertainty: Option<Uncertainty>,
 }
 
 impl Tracker {
@@ -254,6 +257,7 @@ impl Tracker {
             status: Status::Tracked,
             inliers,
             depth_agreement: 1.0,
+            uncertainty: None,
             keyframe: true,
             times: StageTimes::default(),
         }
@@ -316,6 +320,7 @@ impl Tracker {
                 relocalised,
                 edges: Vec::new(),
                 moved: Vec::new(),
+                uncertainty: None,
             };
         }
         let selected = self.pool.select(&guess, &self.config.memory);
@@ -332,6 +337,7 @@ impl Tracker {
         let problem = GraphProblem {
             observation,
             guess,
+            prediction: self.reference.as_ref().filter(|_| !relocalised).map(|r| r.pose),
             pool: &self.pool,
             selected: &selected,
             edges: &edges,
@@ -342,8 +348,8 @@ impl Tracker {
         let solved = problem.solve();
         let inliers = matched.max(coarse.as_ref().map_or(0, |c| c.matches.len()));
         match solved {
-            Some(GraphResult { pose, moved }) if within(Gates::CORRECTION, &guess, &pose) => {
-                Estimate { pose, inliers, memory_matches: matched, relocalised, edges, moved }
+            Some(GraphResult { pose, moved, uncertainty }) if within(Gates::CORRECTION, &guess, &pose) => {
+                Estimate { pose, inliers, memory_matches: matched, relocalised, edges, moved, uncertainty }
             }
             _ => Estimate {
                 pose: guess,
@@ -352,6 +358,7 @@ impl Tracker {
                 relocalised,
                 edges,
                 moved: Vec::new(),
+                uncertainty: None,
             },
         }
     }
@@ -405,6 +412,7 @@ impl Tracker {
             status,
             inliers: estimate.inliers,
             depth_agreement: share,
+            uncertainty: estimate.uncertainty,
             keyframe,
             times: StageTimes::default(),
         };
@@ -447,6 +455,7 @@ impl Tracker {
             status: Status::Lost,
             inliers: 0,
             depth_agreement: 0.0,
+            uncertainty: None,
             keyframe: false,
             times: StageTimes::default(),
         }

@@ -57,6 +57,7 @@ pub(crate) fn place(
     let problem = GraphProblem {
         observation,
         guess: *guess,
+        prediction: None,
         pool,
         selected: &selected,
         edges: &edges,

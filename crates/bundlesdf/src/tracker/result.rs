@@ -5,6 +5,8 @@ use std::time::Duration;
 use nalgebra::Isometry3;
 use serde::{Deserialize, Serialize};
 
+use super::Uncertainty;
+
 /// How much a frame's pose can be trusted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
@@ -61,6 +63,9 @@ pub struct FrameResult {
     pub inliers: usize,
     /// Share of the compared depth that agrees with the pose, 0 to 1.
     pub depth_agreement: f64,
+    /// How well the pose is known and which motions can't be seen; `None` where no pose graph was solved: for the first
+    /// frame, without memory, and when the object is lost.
+    pub uncertainty: Option<Uncertainty>,
     /// Whether the frame became a keyframe.
     pub keyframe: bool,
     /// Time by stage.
