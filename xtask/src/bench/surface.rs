@@ -191,6 +191,10 @@ fn measure(
         "release" => FieldConfig::release(),
         other => anyhow::bail!("no settings {other}: there are realtime, refine, paper, release"),
     };
+    if matches!(settings, "realtime" | "refine") {
+        // As the tracker and the refinement have it.
+        config.color_start = config.pose_end;
+    }
     config.steps = args.steps.unwrap_or(config.steps);
     if args.fixed {
         config.pose_learning_rate = 0.0;

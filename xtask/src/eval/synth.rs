@@ -64,6 +64,38 @@ fn mark(folder: &Path) -> anyhow::Result<()> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use eval_metrics::{MeshRef, ModelPoints, score_poses};
+    use nalgebra::{Isometry3, UnitQuaternion, Vector3};
+
+    /// Poses of a tracker that knows everything but the turn about the object's `axis`: at every frame the object has
+    /// turned as it truly has, less the part about the axis.
+    fn without_turn(truth: &[Isometry3<f64>], axis: &Vector3<f64>) -> Vec<Isometry3<f64>> {
+        let mut missed = 0.0;
+        let mut poses = truth.to_vec();
+        for (k, pair) in truth.windows(2).enumerate() {
+            missed += (pair[0].rotation.inverse() * pair[1].rotation).scaled_axis().dot(axis);
+            poses[k + 1] *= UnitQuaternion::from_scaled_axis(-missed * axis);
+        }
+        poses
+    }
+
+    /// Prints the ADD that is left on the can without print, `cargo test --release -p xtask can_without -- --nocapture`.
+    #[test]
+    fn the_best_add_of_a_can_without_print_is_far_from_perfect() {
+        let can = Sequence::named("symmetric").unwrap();
+        let truth: Vec<_> = (0..can.len()).map(|i| can.cam_from_obj(i)).collect();
+        let held = without_turn(&truth, &Vector3::y());
+        let vertices: Vec<[f64; 3]> = can.mesh().vertices.iter().map(|p| p.map(f64::from)).collect();
+        let model = ModelPoints::from_mesh(MeshRef::new(&vertices, &can.mesh().triangles)).unwrap();
+        let all = |poses: &[Isometry3<f64>]| poses.iter().copied().map(Some).collect::<Vec<_>>();
+        let scores = score_poses(&all(&held), &all(&truth), &model, 0.1);
+        println!("turn held, all else true: ADD {:.2}, ADD-S {:.2}", scores.add_auc, scores.add_s_auc);
+        // The shape can't tell the difference, the corresponding points can.
+        assert!(scores.add_s_auc > 98.0 && scores.add_auc < 80.0);
+        // About an axis across the can, the shape tells.
+        let across = without_turn(&truth, &Vector3::x());
+        assert!(score_poses(&all(&across), &all(&truth), &model, 0.1).add_s_auc < 98.0);
+    }
 
     #[test]
     fn an_unknown_name_is_refused_with_the_known_ones() {
