@@ -3,29 +3,33 @@
 //! A tracked pose is good to a millimetre or two, which is a pixel or two of texture. As in Zhou and Koltun, "Color Map
 //! Optimization for 3D Reconstruction with Consumer Depth Cameras" (SIGGRAPH 2014), with rigid motions alone, two steps
 //! alternate: the mean brightness of every surface point over the views, and for each view the motion that brings its
-//! image closest to these means. Brightness is taken relative to the surroundings, since shading moves over an object
-//! that turns under a lamp.
+//! image closest to these means. Brightness is logarithmic and without the light that the views have in common; what is
+//! left of it in one view, a smooth function of the normal again, is fitted with the view's exposure. Without that, light
+//! that passes over an object looks like motion.
 
-use marching_cubes::TriMesh;
-use nalgebra::{Isometry3, Matrix6, Point3, Translation3, Vector3, Vector6};
+use nalgebra::{Isometry3, Matrix4, Matrix6, Point3, Translation3, Vector3, Vector4, Vector6};
 use rayon::prelude::*;
 use rgbd_io::Image;
 
-use super::view::{Prepared, contrast};
+use super::{
+    light::Light,
+    sample::SurfacePoint,
+    view::{Prepared, log_brightness},
+};
 
-/// Surface points that take part.
-const POINTS: usize = 12_000;
 /// Blur radius (pixels) and rounds of each stage.
 const STAGES: [(usize, usize); 2] = [(2, 12), (1, 10)];
 /// Points nearer to the border of the usable area (pixels) are left out: their gradient isn't the surface's.
 const INSET: f32 = 4.0;
 /// Least cosine at which a point takes part.
 const GRAZING: f32 = 0.3;
-/// Standard deviation of a point's brightness (128 = as bright as its surroundings), and the Huber limit in these units.
-const NOISE: f64 = 8.0;
+/// Standard deviation of a point's log brightness, and the Huber limit in these units.
+const NOISE: f64 = 0.06;
 const HUBER: f64 = 1.5;
 /// Neighbouring points see the same pixels: so many of them count as one.
 const CORRELATED: f64 = 40.0;
+/// Expected size of the terms of the light that is left in a view, and of its log exposure.
+const LEFT: [f64; 4] = [0.1, 0.1, 0.1, 0.3];
 /// How far the given poses may be off: metres and radians.
 const PRIOR: [f64; 2] = [0.002, 0.01];
 /// Corrections beyond this are mistakes: metres and radians.
@@ -34,35 +38,41 @@ const LARGEST: [f64; 2] = [0.006, 0.03];
 /// A surface point in one view.
 struct Seen {
     point: u32,
-    weight: f32,
+    weight: f64,
+    /// Normal in the camera's frame, and one.
+    normal: Vector4<f64>,
+    /// Log brightness that the common light gives it.
+    shading: f64,
 }
 
 /// For each view the motion of the object frame that corrects it: `obj_from_cam <- correction * obj_from_cam`. The
 /// identity where a view shares too little with others, or nothing is gained.
-pub(super) fn corrections(mesh: &TriMesh, views: &[Prepared]) -> Vec<Isometry3<f64>> {
-    let points = surface_points(mesh);
-    let center = points.iter().fold(Vector3::zeros(), |s, (p, _)| s + p.coords) / points.len().max(1) as f64;
-    let seen: Vec<Vec<Seen>> = views.par_iter().map(|view| seen_points(view, &points)).collect();
-    let points: Vec<Point3<f64>> = points.into_iter().map(|(p, _)| p).collect();
+pub(super) fn corrections(points: &[SurfacePoint], views: &[Prepared], light: &Light) -> Vec<Isometry3<f64>> {
+    let center = points.iter().fold(Vector3::zeros(), |s, p| s + Vector3::from(p.position.map(f64::from)))
+        / points.len().max(1) as f64;
+    let seen: Vec<Vec<Seen>> = views.par_iter().map(|view| seen_points(view, points, light)).collect();
+    let points: Vec<Point3<f64>> = points.iter().map(|p| Point3::from(p.position.map(f64::from))).collect();
     let mut corrections = vec![Isometry3::identity(); views.len()];
     for (radius, rounds) in STAGES {
-        let images: Vec<Image<f32>> = views.par_iter().map(|view| contrast(view, radius)).collect();
-        let mut gains = vec![1.0f64; views.len()];
+        let images: Vec<Image<f32>> = views.par_iter().map(|view| log_brightness(view, radius)).collect();
+        let mut means = vec![None; points.len()];
+        let mut left = vec![Vector4::zeros(); views.len()];
         for _ in 0..rounds {
             let samples: Vec<Vec<Option<f64>>> = (0..views.len())
                 .into_par_iter()
                 .map(|v| brightness(&views[v], &images[v], &seen[v], &points, &corrections[v]))
                 .collect();
-            let means = mean_brightness(&seen, &samples, &gains, points.len());
-            gains = (0..views.len()).map(|v| gain(&seen[v], &samples[v], &means)).collect();
+            means = mean_brightness(&seen, &samples, &left, &means);
+            left = (0..views.len()).map(|v| light_left(&seen[v], &samples[v], &means)).collect();
             corrections = (0..views.len())
                 .into_par_iter()
                 .map(|v| {
                     let fit =
                         Fit { view: &views[v], image: &images[v], points: &points, center, means: &means };
-                    fit.step(&seen[v], gains[v], &corrections[v])
+                    fit.step(&seen[v], &left[v], &corrections[v])
                 })
                 .collect();
+            take_out_drift(&mut corrections, views, center);
         }
     }
     for correction in &mut corrections {
@@ -77,36 +87,35 @@ pub(super) fn corrections(mesh: &TriMesh, views: &[Prepared]) -> Vec<Isometry3<f
     corrections
 }
 
-/// Points spread evenly over the surface, with normals.
-fn surface_points(mesh: &TriMesh) -> Vec<(Point3<f64>, [f32; 3])> {
-    let corner = |i: u32| Vector3::from(mesh.vertices[i as usize].map(f64::from));
-    let spacing = mesh.area() / POINTS as f64;
-    let mut points = Vec::with_capacity(POINTS + 64);
-    let mut owed = 0.5;
-    for t in &mesh.triangles {
-        let [a, b, c] = t.map(corner);
-        let normal = (b - a).cross(&(c - a));
-        let Some(unit) = normal.try_normalize(1e-15) else { continue };
-        owed += 0.5 * normal.norm() / spacing;
-        while owed >= 1.0 {
-            owed -= 1.0;
-            // The plastic number's sequence (Roberts 2018) fills the triangle evenly.
-            let n = points.len() as f64;
-            let (mut s, mut t) = ((0.5 + n * 0.754_877_666).fract(), (0.5 + n * 0.569_840_291).fract());
-            if s + t > 1.0 {
-                (s, t) = (1.0 - s, 1.0 - t);
-            }
-            points.push((Point3::from(a + (b - a) * s + (c - a) * t), unit.cast::<f32>().into()));
-        }
+/// Takes out what all views were moved by in common in the camera's frame, at the object's middle. Images can't tell
+/// where on the mesh they all belong together, and light that is left pulls every view the same way.
+fn take_out_drift(corrections: &mut [Isometry3<f64>], views: &[Prepared], center: Vector3<f64>) {
+    let rotations = || views.iter().map(|view| view.cam_from_obj().rotation);
+    let (mut shift, mut turn) = (Vector3::zeros(), Vector3::zeros());
+    for (correction, cam_from_obj) in corrections.iter().zip(rotations()) {
+        shift += cam_from_obj * (correction * Point3::from(center) - Point3::from(center));
+        turn += cam_from_obj * correction.rotation.scaled_axis();
     }
-    points
+    let count = corrections.len().max(1) as f64;
+    let origin = Translation3::from(center);
+    for (correction, cam_from_obj) in corrections.iter_mut().zip(rotations()) {
+        let back = cam_from_obj.inverse();
+        let common = Isometry3::new(back * shift / count, back * turn / count);
+        *correction = origin * common.inverse() * origin.inverse() * *correction;
+    }
 }
 
-fn seen_points(view: &Prepared, points: &[(Point3<f64>, [f32; 3])]) -> Vec<Seen> {
-    let seen = points.iter().zip(0u32..).filter_map(|((p, n), number)| {
-        let sight = view.sight(p.coords.cast::<f32>().into(), *n)?;
-        (sight.inset >= INSET && sight.cosine >= GRAZING)
-            .then_some(Seen { point: number, weight: sight.cosine * view.quality })
+fn seen_points(view: &Prepared, points: &[SurfacePoint], light: &Light) -> Vec<Seen> {
+    let rotation = view.cam_from_obj().rotation;
+    let seen = points.iter().zip(0u32..).filter_map(|(p, point)| {
+        let sight = view.sight(p.position, p.normal)?;
+        let normal = rotation * Vector3::from(p.normal.map(f64::from));
+        (sight.inset >= INSET && sight.cosine >= GRAZING).then(|| Seen {
+            point,
+            weight: f64::from(sight.cosine * view.quality),
+            normal: normal.push(1.0),
+            shading: light.log(view, p),
+        })
     });
     seen.collect()
 }
@@ -137,41 +146,51 @@ fn brightness(
     let cam_from_obj = view.cam_from_obj() * correction.inverse();
     let value = |s: &Seen| {
         let [u, v] = view.intrinsics().project((cam_from_obj * points[s.point as usize]).coords.into())?;
-        sample(image, u, v).map(|[value, ..]| value)
+        sample(image, u, v).map(|[value, ..]| value - s.shading)
     };
     seen.iter().map(value).collect()
 }
 
-/// Weighted mean over the views, of points that at least two see; others have none.
+/// Weighted mean over the views, of points that at least two see; others have none. What is far from the last mean
+/// counts less.
 fn mean_brightness(
     seen: &[Vec<Seen>],
     samples: &[Vec<Option<f64>>],
-    gains: &[f64],
-    points: usize,
+    left: &[Vector4<f64>],
+    last: &[Option<f64>],
 ) -> Vec<Option<f64>> {
-    let mut sums = vec![(0.0f64, 0.0f64, 0u32); points];
-    for ((seen, samples), gain) in seen.iter().zip(samples).zip(gains) {
+    let mut sums = vec![(0.0f64, 0.0f64, 0u32); last.len()];
+    for ((seen, samples), left) in seen.iter().zip(samples).zip(left) {
         for (s, value) in seen.iter().zip(samples) {
-            let Some(value) = value else { continue };
-            let (sum, weight, count) = &mut sums[s.point as usize];
-            *sum += f64::from(s.weight) * gain * value;
-            *weight += f64::from(s.weight);
+            let Some(value) = value.map(|v| v - left.dot(&s.normal)) else { continue };
+            let weight = s.weight * last[s.point as usize].map_or(1.0, |mean| huber(value - mean));
+            let (sum, weights, count) = &mut sums[s.point as usize];
+            *sum += weight * value;
+            *weights += weight;
             *count += 1;
         }
     }
     sums.into_iter().map(|(sum, weight, count)| (count > 1 && weight > 0.0).then(|| sum / weight)).collect()
 }
 
-/// The factor that brings a view's brightness to the means.
-fn gain(seen: &[Seen], samples: &[Option<f64>], means: &[Option<f64>]) -> f64 {
-    let (mut product, mut square) = (0.0, 0.0);
+fn huber(error: f64) -> f64 {
+    (HUBER * NOISE / error.abs()).min(1.0)
+}
+
+/// What a view's brightness has beyond the means: a linear function of the normal.
+fn light_left(seen: &[Seen], samples: &[Option<f64>], means: &[Option<f64>]) -> Vector4<f64> {
+    let (mut h, mut g) = (Matrix4::zeros(), Vector4::zeros());
     for (s, value) in seen.iter().zip(samples) {
         if let (Some(value), Some(mean)) = (value, means[s.point as usize]) {
-            product += f64::from(s.weight) * value * mean;
-            square += f64::from(s.weight) * value * value;
+            let weight = s.weight * huber(value - mean) / (NOISE * NOISE * CORRELATED);
+            h += s.normal * s.normal.transpose() * weight;
+            g += s.normal * (weight * (value - mean));
         }
     }
-    if square > 0.0 { (product / square).clamp(0.4, 2.5) } else { 1.0 }
+    for (i, size) in LEFT.iter().enumerate() {
+        h[(i, i)] += size.powi(-2);
+    }
+    h.cholesky().map_or_else(Vector4::zeros, |factor| factor.solve(&g))
 }
 
 /// One view against the means.
@@ -185,7 +204,7 @@ struct Fit<'a> {
 
 impl Fit<'_> {
     /// One Gauss-Newton step on the correction, a twist about the object's middle.
-    fn step(&self, seen: &[Seen], gain: f64, correction: &Isometry3<f64>) -> Isometry3<f64> {
+    fn step(&self, seen: &[Seen], left: &Vector4<f64>, correction: &Isometry3<f64>) -> Isometry3<f64> {
         let cam_from_obj = self.view.cam_from_obj() * correction.inverse();
         let rotation = cam_from_obj.rotation.to_rotation_matrix();
         let k = self.view.intrinsics();
@@ -197,15 +216,15 @@ impl Fit<'_> {
             let Some([u, v]) = k.project(q.coords.into()) else { continue };
             let Some([value, du, dv]) = sample(self.image, u, v) else { continue };
             // Change of brightness with the camera-frame point, then with the twist of the object frame.
-            let (gx, gy) = (gain * du * k.fx / q.z, gain * dv * k.fy / q.z);
+            let (gx, gy) = (du * k.fx / q.z, dv * k.fy / q.z);
             let along = rotation.inverse() * Vector3::new(gx, gy, -(gx * q.x + gy * q.y) / q.z);
             let arm = p.coords - self.center;
             let turn = along.cross(&arm);
             let row = Vector6::new(-along.x, -along.y, -along.z, turn.x, turn.y, turn.z);
-            let error = (gain * value - mean) / NOISE;
-            let weight = f64::from(s.weight) * (HUBER / error.abs()).min(1.0) / (NOISE * NOISE * CORRELATED);
+            let error = value - s.shading - left.dot(&s.normal) - mean;
+            let weight = s.weight * huber(error) / (NOISE * NOISE * CORRELATED);
             hessian += row * row.transpose() * weight;
-            gradient += row * (weight * NOISE * error);
+            gradient += row * (weight * error);
         }
         // The given pose is an observation, too.
         let shift = *correction * Point3::from(self.center) - Point3::from(self.center);
@@ -226,23 +245,6 @@ impl Fit<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn points_are_spread_by_area() {
-        let mesh = TriMesh {
-            vertices: vec![[0.0; 3], [0.3, 0.0, 0.0], [0.0, 0.1, 0.0], [0.0, 0.0, 0.1]],
-            triangles: vec![[0, 1, 2], [0, 2, 3]],
-            ..TriMesh::default()
-        };
-        let points = surface_points(&mesh);
-        assert!(points.len().abs_diff(POINTS) < 3);
-        let flat = points.iter().filter(|(p, _)| p.z == 0.0).count();
-        assert!((flat as f64 / POINTS as f64 - 0.75).abs() < 0.01);
-        let middle: Vector3<f64> =
-            points.iter().filter(|(p, _)| p.z == 0.0).map(|(p, _)| p.coords).sum::<Vector3<f64>>()
-                / flat as f64;
-        assert!((middle - Vector3::new(0.1, 0.1 / 3.0, 0.0)).norm() < 1e-3, "{middle}");
-    }
 
     #[test]
     fn samples_of_a_ramp_are_exact() {

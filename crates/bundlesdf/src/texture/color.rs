@@ -13,8 +13,8 @@ const HUBER: f64 = 0.15;
 /// Least distance of colours (0 to 255) that makes an outlier.
 const OUTLIER: f32 = 24.0;
 
-/// Factors on red, green and blue for each view: the least-squares solution of "what two views saw of one vertex has
-/// one colour", in logarithms, robust, with mean 1 over the views.
+/// Factors on red, green and blue for each view beside those of the sightings: the least-squares solution of "what two
+/// views saw of one vertex has one colour", in logarithms, robust, with mean 1 over the views.
 pub(super) fn gains(sightings: &[Vec<Sighting>], views: usize) -> Vec<[f32; 3]> {
     let log = |v: f32| f64::from(v.max(4.0)).ln();
     let mut gains = vec![[0.0f64; 3]; views];
@@ -23,14 +23,15 @@ pub(super) fn gains(sightings: &[Vec<Sighting>], views: usize) -> Vec<[f32; 3]> 
         for _ in 0..ROUNDS {
             let mut sums = vec![(0.0f64, 0.0f64); views];
             for list in sightings.iter().filter(|list| list.len() > 1) {
-                let corrected = |s: &Sighting| log(s.color[channel]) + gain[usize::from(s.view)];
+                let own = |s: &Sighting| log(s.color[channel] * s.factor[channel]);
+                let corrected = |s: &Sighting| own(s) + gain[usize::from(s.view)];
                 let weight: f64 = list.iter().map(|s| f64::from(s.broad)).sum();
                 let mean = list.iter().map(|s| f64::from(s.broad) * corrected(s)).sum::<f64>() / weight;
                 for s in list {
                     let error = mean - corrected(s);
                     let weight = f64::from(s.broad) * (HUBER / error.abs()).min(1.0);
                     let (total, weights) = &mut sums[usize::from(s.view)];
-                    *total += weight * (mean - log(s.color[channel]));
+                    *total += weight * (mean - own(s));
                     *weights += weight;
                 }
             }
@@ -54,20 +55,23 @@ pub(super) fn to_bytes(color: [f32; 3]) -> [u8; 3] {
 }
 
 /// Removes views from vertices where most others see another colour: a hand, a shadow, a highlight.
-pub(super) fn drop_outliers(sightings: &mut [Vec<Sighting>], gains: &[[f32; 3]]) {
+pub(super) fn drop_outliers(sightings: &mut [Vec<Sighting>]) {
     for list in sightings.iter_mut().filter(|list| list.len() > 2) {
-        let median: [f32; 3] = std::array::from_fn(|k| {
-            let values = list.iter().map(|s| (s.color[k] * gains[usize::from(s.view)][k], s.broad));
-            weighted_median(values.collect())
-        });
+        let median = median(list);
         let distance = |s: &Sighting| {
-            let c = scaled(s.color, gains[usize::from(s.view)]);
+            let c = scaled(s.color, s.factor);
             (0..3).map(|k| (c[k] - median[k]).abs()).fold(0.0, f32::max)
         };
         let typical = weighted_median(list.iter().map(|s| (distance(s), s.broad)).collect());
         let limit = OUTLIER.max(3.0 * typical);
         list.retain(|s| distance(s) <= limit);
     }
+}
+
+fn median(list: &[Sighting]) -> [f32; 3] {
+    std::array::from_fn(|k| {
+        weighted_median(list.iter().map(|s| (s.color[k] * s.factor[k], s.broad)).collect())
+    })
 }
 
 fn weighted_median(mut values: Vec<(f32, f32)>) -> f32 {
@@ -83,23 +87,29 @@ fn weighted_median(mut values: Vec<(f32, f32)>) -> f32 {
     values.last().map_or(0.0, |v| v.0)
 }
 
-/// The mean broad colour of every vertex, 0 to 255; where no view saw it, what the surroundings suggest.
-pub(super) fn vertex_colors(
-    mesh: &TriMesh,
-    sightings: &[Vec<Sighting>],
-    gains: &[[f32; 3]],
-) -> Vec<[f32; 3]> {
-    let known: Vec<Option<[f32; 3]>> = sightings
-        .iter()
-        .map(|list| {
-            let weight: f32 = list.iter().map(|s| s.broad).sum();
-            let sum = list.iter().fold([0.0; 3], |sum: [f32; 3], s| {
-                let c = scaled(s.color, gains[usize::from(s.view)]);
-                std::array::from_fn(|k| sum[k] + s.broad * c[k])
-            });
-            (weight > 0.0).then(|| sum.map(|v| v / weight))
-        })
-        .collect();
+/// Multiplies each view's sightings by its gain.
+pub(super) fn apply(sightings: &mut [Vec<Sighting>], gains: &[[f32; 3]]) {
+    for s in sightings.iter_mut().flatten() {
+        s.factor = scaled(s.factor, gains[usize::from(s.view)]);
+    }
+}
+
+/// The colour (0 to 255) that the views of a point agree on; `None` without views.
+pub(super) fn agreed(list: &[Sighting]) -> Option<[f32; 3]> {
+    if list.len() > 2 {
+        return Some(median(list));
+    }
+    let weight: f32 = list.iter().map(|s| s.broad).sum();
+    let sum = list.iter().fold([0.0; 3], |sum: [f32; 3], s| {
+        let c = scaled(s.color, s.factor);
+        std::array::from_fn(|k| sum[k] + s.broad * c[k])
+    });
+    (weight > 0.0).then(|| sum.map(|v| v / weight))
+}
+
+/// The colour of every vertex, 0 to 255; where no view saw it, what the surroundings suggest.
+pub(super) fn vertex_colors(mesh: &TriMesh, sightings: &[Vec<Sighting>]) -> Vec<[f32; 3]> {
+    let known: Vec<_> = sightings.iter().map(|list| agreed(list)).collect();
     fill::over_surface(mesh, &known)
 }
 
@@ -108,7 +118,7 @@ mod tests {
     use super::*;
 
     fn sighting(view: u16, color: [f32; 3]) -> Sighting {
-        Sighting { view, broad: 1.0, detail: 1.0, color }
+        Sighting { view, broad: 1.0, detail: 1.0, color, factor: [1.0; 3] }
     }
 
     #[test]
@@ -139,7 +149,7 @@ mod tests {
             sighting(2, [98.0, 47.0, 52.0]),
             sighting(3, [200.0, 160.0, 140.0]),
         ]];
-        drop_outliers(&mut sightings, &[[1.0; 3]; 4]);
+        drop_outliers(&mut sightings);
         assert_eq!(sightings[0].iter().map(|s| s.view).collect::<Vec<_>>(), [0, 1, 2]);
     }
 }

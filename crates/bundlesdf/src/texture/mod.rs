@@ -1,24 +1,34 @@
 //! A texture for a mesh from the frames that saw it.
 //!
-//! The mesh is unwrapped into an atlas; every face takes its detail from the view that shows it best, and its broad
-//! colour from all views that agree, so that exposure and shading change smoothly over the surface and no seam is
-//! left where the best view changes. What no view saw is filled from its surroundings.
+//! The mesh is unwrapped into an atlas. The light that falls on the object is estimated from how the views' colours
+//! change while it turns, and taken out. Every face takes its detail from the view that shows it best, corrected smoothly
+//! over the surface to the colours that all views agree on, so that no seam is left where the best view changes. What no
+//! view saw is filled from its surroundings.
 
 mod align;
 mod atlas;
 mod color;
 mod fill;
+mod level;
+mod light;
 mod paint;
+mod polynomial;
 mod render;
 mod sample;
 mod select;
+mod still_light;
 mod view;
 
 use marching_cubes::TriMesh;
 use nalgebra::Isometry3;
 use rgbd_io::{Image, Intrinsics, Mask};
 
+use light::Light;
+
 pub use render::Rendering;
+
+/// Surface points that light and corrections of the poses are estimated from.
+const POINTS: usize = 12_000;
 
 /// A frame that saw the object.
 #[derive(Clone, Debug)]
@@ -113,11 +123,13 @@ pub struct TextureStats {
 
 /// Paints `mesh` (object frame, metres) with what `views` saw of it.
 ///
-/// The method: an atlas; a last photometric correction of the poses; visibility by a depth buffer of the mesh and the measured depth; per-view gains by least
-/// squares over what several views saw; the best view of each face by angle, resolution, sharpness, depth residual
-/// and distance from the mask's border, smoothed over neighbours (after Lempitsky and Ivanov, "Seamless Mosaicing
-/// of Image-Based Texture Maps", CVPR 2007); and two bands, the low one averaged over all agreeing views, the high
-/// one from the best view (after Baumberg, "Blending Images for Texturing 3D Models", BMVC 2002).
+/// The method: an atlas; the light as a spherical polynomial of the normal (after Basri and Jacobs, "Lambertian
+/// Reflectance and Linear Subspaces", PAMI 2003); a last photometric correction of the poses; visibility by a depth
+/// buffer of the mesh and the measured depth; per-view gains by least squares over what several views saw; the best view
+/// of each face by angle, resolution, sharpness, depth residual and distance from the mask's border, smoothed over
+/// neighbours (after Lempitsky and Ivanov, "Seamless Mosaicing of Image-Based Texture Maps", CVPR 2007); and for each view
+/// a smooth factor that levels it to the median of all. The result is the object's own colour up to one factor, as far as
+/// the object turned in the light: shading that every view shows stays.
 ///
 /// # Errors
 /// When mesh, views or size can't be used, see [`TextureError`].
@@ -144,23 +156,29 @@ pub fn bake(mesh: &TriMesh, views: &[View], options: &TextureOptions) -> Result<
     let layout = atlas::unwrap(&mesh, options)?;
     let mut prepared = view::prepare(&mesh, views);
     let mut shifts_mm = vec![0.0; views.len()];
+    let points = sample::spread(&mesh, POINTS);
+    let mut light = Light::estimate(&points, &prepared);
     if options.align {
-        let corrections = align::corrections(&mesh, &prepared);
+        let corrections = align::corrections(&points, &prepared, &light);
         prepared = view::prepare_corrected(&mesh, views, &corrections);
         shifts_mm = corrections.iter().map(|c| shift_mm(&mesh, c)).collect();
+        light = Light::estimate(&points, &prepared);
     }
-    let mut sightings = sample::sightings(&mesh, &prepared);
+    let vertices = sample::vertices(&mesh);
+    let mut sightings = sample::sightings(&vertices, &prepared);
+    light.remove(&vertices, &prepared, &mut sightings);
     let gains = color::gains(&sightings, views.len());
-    color::drop_outliers(&mut sightings, &gains);
+    color::apply(&mut sightings, &gains);
+    color::drop_outliers(&mut sightings);
+    let colors = color::vertex_colors(&mesh, &sightings);
+    level::level(&mesh, &mut sightings, &colors, views.len());
     let labels = select::best_views(&mesh, &sightings);
-    let vertices = color::vertex_colors(&mesh, &sightings, &gains);
     let scene = paint::Scene {
         mesh: &mesh,
         views: &prepared,
         sightings: &sightings,
-        detail: select::feathered(&mesh, &sightings, &labels),
-        gains: &gains,
-        fill: &vertices,
+        weights: select::feathered(&mesh, &sightings, &labels),
+        fill: &colors,
     };
     let (texture, observed) = paint::paint(&scene, &layout, options.size);
     let mut faces_per_view = vec![0; views.len()];
@@ -172,7 +190,7 @@ pub fn bake(mesh: &TriMesh, views: &[View], options: &TextureOptions) -> Result<
         triangles: layout.triangles,
         source: layout.source,
         texture,
-        vertex_colors: vertices.iter().map(|c| color::to_bytes(*c)).collect(),
+        vertex_colors: colors.iter().map(|c| color::to_bytes(*c)).collect(),
         stats: TextureStats {
             charts: layout.charts,
             utilisation: layout.utilisation,

@@ -14,10 +14,6 @@ use super::{
     view::{Prepared, bilinear},
 };
 
-/// Detail is a factor on the broad colour, so that it doesn't depend on how brightly the view's lamp shone there; it is
-/// not trusted where that colour is darker than this (0 to 255), nor beyond this factor.
-const DARK: f32 = 8.0;
-const MOST: f32 = 4.0;
 /// A texel that shows no surface.
 const EMPTY: u32 = u32::MAX;
 
@@ -26,19 +22,19 @@ pub(super) struct Scene<'a> {
     pub(super) mesh: &'a TriMesh,
     pub(super) views: &'a [Prepared],
     pub(super) sightings: &'a [Vec<Sighting>],
-    /// Weights of the views' detail at each vertex.
-    pub(super) detail: Vec<Vec<(u16, f32)>>,
-    pub(super) gains: &'a [[f32; 3]],
+    /// Weights of the views at each vertex.
+    pub(super) weights: Vec<Vec<(u16, f32)>>,
     /// Colour of each vertex for where no view helps, 0 to 255.
     pub(super) fill: &'a [[f32; 3]],
 }
 
-/// The weights of one view over a face's corners.
+/// One view over a face's corners.
 #[derive(Clone, Copy)]
 struct Share {
     view: u16,
-    broad: [f32; 3],
-    detail: [f32; 3],
+    weight: [f32; 3],
+    /// What its colours are multiplied by.
+    factor: [[f32; 3]; 3],
 }
 
 /// Paints the texture; also the share of the surface's texels that a view saw.
@@ -101,17 +97,17 @@ fn weights_at(layout: &Layout, size: usize, face: u32, x: usize, y: usize) -> [f
 impl Scene<'_> {
     fn shares(&self, face: u32, shares: &mut Vec<Share>) {
         shares.clear();
-        let blank = |view| Share { view, broad: [0.0; 3], detail: [0.0; 3] };
-        for (k, &vertex) in self.mesh.triangles[face as usize].iter().enumerate() {
-            let sightings = &self.sightings[vertex as usize];
-            // One vertex seen by ten views weighs no more than one seen by two.
-            let sum: f32 = sightings.iter().map(|s| s.broad).sum();
-            for s in sightings {
-                entry(shares, s.view, blank).broad[k] = s.broad / sum;
+        let corners = self.mesh.triangles[face as usize].map(|i| i as usize);
+        for (k, &vertex) in corners.iter().enumerate() {
+            for &(view, weight) in &self.weights[vertex] {
+                entry(shares, view).weight[k] = weight;
             }
-            for &(view, weight) in &self.detail[vertex as usize] {
-                entry(shares, view, blank).detail[k] = weight;
-            }
+        }
+        for share in shares {
+            let factor = |i: usize| self.sightings[i].iter().find(|s| s.view == share.view).map(|s| s.factor);
+            let own = corners.map(factor);
+            let any = own.iter().flatten().next().copied().unwrap_or([1.0; 3]);
+            share.factor = own.map(|f| f.unwrap_or(any));
         }
     }
 
@@ -123,41 +119,29 @@ impl Scene<'_> {
         };
         let point = blend(t.map(|i| self.mesh.vertices[i as usize])).map(f64::from);
         let unseen = blend(t.map(|i| self.fill[i as usize]));
-        let (mut low, mut low_sum, mut high, mut high_sum) = ([0.0f32; 3], 0.0, [0.0f32; 3], 0.0);
+        let (mut sum, mut total) = ([0.0f32; 3], 0.0);
         for share in shares {
-            let weigh = |w: [f32; 3]| (0..3).map(|i| weights[i] * w[i]).sum::<f32>();
-            let (broad, detail) = (weigh(share.broad), weigh(share.detail));
+            let weight = (0..3).map(|i| weights[i] * share.weight[i]).sum::<f32>();
             let view = &self.views[usize::from(share.view)];
-            let Some(pixel) = (broad + detail > 1e-4).then(|| view.project(point)).flatten() else {
-                continue;
-            };
-            let gain = self.gains[usize::from(share.view)];
-            let base = scaled(bilinear(&view.low, pixel), gain);
-            (0..3).for_each(|k| low[k] += broad * base[k]);
-            low_sum += broad;
-            if detail > 0.0 {
-                let full = scaled(bilinear(&view.color, pixel), gain);
-                (0..3).for_each(|k| high[k] += detail * (full[k] / base[k].max(DARK)).min(MOST));
-                high_sum += detail;
-            }
+            let Some(pixel) = (weight > 1e-4).then(|| view.project(point)).flatten() else { continue };
+            let color = scaled(bilinear(&view.color, pixel), blend(share.factor));
+            (0..3).for_each(|k| sum[k] += weight * color[k]);
+            total += weight;
         }
-        if low_sum <= 1e-4 {
+        if total <= 1e-6 {
             return (unseen, false);
         }
         // Towards corners that nobody saw, colour turns into what was filled in.
         let known: f32 =
             (0..3).filter(|&i| !self.sightings[t[i] as usize].is_empty()).map(|i| weights[i]).sum();
-        let color = std::array::from_fn(|k| {
-            let detail = if high_sum > 1e-4 { high[k] / high_sum } else { 1.0 };
-            unseen[k] + known.min(1.0) * (low[k] / low_sum * detail - unseen[k])
-        });
+        let color = std::array::from_fn(|k| unseen[k] + known.min(1.0) * (sum[k] / total - unseen[k]));
         (color, true)
     }
 }
 
-fn entry(shares: &mut Vec<Share>, view: u16, blank: impl Fn(u16) -> Share) -> &mut Share {
+fn entry(shares: &mut Vec<Share>, view: u16) -> &mut Share {
     let at = shares.iter().position(|s| s.view == view).unwrap_or_else(|| {
-        shares.push(blank(view));
+        shares.push(Share { view, weight: [0.0; 3], factor: [[1.0; 3]; 3] });
         shares.len() - 1
     });
     &mut shares[at]

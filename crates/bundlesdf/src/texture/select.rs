@@ -109,7 +109,8 @@ mod tests {
             triangles: (0..n - 2).map(|i| [i, i + 1, i + 2]).collect(),
             ..TriMesh::default()
         };
-        let sighting = |view, detail| Sighting { view, broad: detail, detail, color: [0.0; 3] };
+        let sighting =
+            |view, detail| Sighting { view, broad: detail, detail, color: [0.0; 3], factor: [1.0; 3] };
         let sightings: Vec<_> = (0..n)
             .map(|i| {
                 let t = i as f32 / n as f32;
@@ -128,7 +129,7 @@ mod tests {
     #[test]
     fn a_face_that_no_view_saw_whole_has_none() {
         let mesh = TriMesh { vertices: vec![[0.0; 3]; 3], triangles: vec![[0, 1, 2]], ..TriMesh::default() };
-        let one = |view| vec![Sighting { view, broad: 1.0, detail: 1.0, color: [0.0; 3] }];
+        let one = |view| vec![Sighting { view, broad: 1.0, detail: 1.0, color: [0.0; 3], factor: [1.0; 3] }];
         assert_eq!(best_views(&mesh, &[one(0), one(0), one(1)]), [None]);
     }
 }

@@ -17,8 +17,8 @@ const SLACK: f64 = 0.008;
 const RESIDUAL: f64 = 0.004;
 /// Pixels that are kept around the object.
 const MARGIN: usize = 4;
-/// Radius of the low band's blur, as a share of the diagonal of the object in the image.
-const BLUR: f64 = 0.03;
+/// Added to brightness (0 to 255) before its logarithm is taken: noise in the dark is no contrast.
+const DARK: f32 = 8.0;
 /// A pixel where the mesh isn't seen.
 const NOTHING: f32 = f32::INFINITY;
 
@@ -26,8 +26,8 @@ const NOTHING: f32 = f32::INFINITY;
 pub(super) struct Prepared {
     /// RGB, 0 to 255.
     pub(super) color: Image<[f32; 3]>,
-    /// The colour, blurred within the usable pixels.
-    pub(super) low: Image<[f32; 3]>,
+    /// The colour, blurred a little within the usable pixels.
+    pub(super) fine: Image<[f32; 3]>,
     /// Pixels to the nearest one that can't be used; 0 where the pixel itself can't.
     pub(super) inset: Image<f32>,
     /// Depth of the mesh, metres; infinite where it isn't.
@@ -91,13 +91,12 @@ impl Prepared {
                 && !is_step(&surface, x, y)
         });
         let color = Image::from_fn(width, height, |x, y| view.color[(x0 + x, y0 + y)].map(f32::from));
-        let radius = ((width as f64).hypot(height as f64) * BLUR).round().max(1.0) as usize;
-        let low = blurred(&color, &usable, radius);
+        let fine = blurred(&color, &usable, 1);
         let sharpness = sharpness(&color, &usable);
         let residual = residual(&measured, &surface, &usable);
         let view = Self {
             color,
-            low,
+            fine,
             inset: insets(&usable),
             surface,
             k,
@@ -170,17 +169,10 @@ pub(super) fn bilinear(image: &Image<[f32; 3]>, [u, v]: [f32; 2]) -> [f32; 3] {
     })
 }
 
-/// Brightness of a view, blurred within its usable pixels, over that of its surroundings, which takes shading and
-/// exposure out; 128 = as bright as the surroundings.
-pub(super) fn contrast(view: &Prepared, radius: usize) -> Image<f32> {
-    let luminance = |[r, g, b]: [f32; 3]| 0.299 * r + 0.587 * g + 0.114 * b;
+/// Logarithm of a view's brightness, blurred within its usable pixels.
+pub(super) fn log_brightness(view: &Prepared, radius: usize) -> Image<f32> {
     let usable = view.inset.map(|d| *d > 0.0);
-    let fine = blurred(&view.color, &usable, radius);
-    let mut pairs = fine.pixels().iter().zip(view.low.pixels());
-    let (width, height) = fine.size();
-    Image::from_fn(width, height, |_, _| {
-        pairs.next().map_or(128.0, |(f, l)| 128.0 * luminance(*f) / luminance(*l).max(8.0))
-    })
+    blurred(&view.color, &usable, radius).map(|[r, g, b]| (0.299 * r + 0.587 * g + 0.114 * b + DARK).ln())
 }
 
 /// Left, top, width and height of the mask with a margin; at least one pixel.
