@@ -2,7 +2,7 @@
 
 use nalgebra::Isometry3;
 use neural_field::TrainedField;
-use posegraph::{DenseEdge, Node, PoseGraph, SdfTerm, solve};
+use posegraph::{DenseEdge, Node, PoseGraph, PosePrior, SdfTerm, solve};
 use se3_lie::distance::swing_angle;
 
 use crate::{config::MAX_DENSE_SWING, field_model::FieldModel, field_worker::FieldRequest};
@@ -10,8 +10,8 @@ use crate::{config::MAX_DENSE_SWING, field_model::FieldModel, field_worker::Fiel
 /// Keyframes by swing angle that each one is compared with densely.
 const NEIGHBOURS: usize = 6;
 
-/// `obj_from_cam` of all keyframes of the request, started at `poses`, the first one held; with a `field` each keyframe
-/// is also drawn to its surface. `None` if the graph can't be built or solved.
+/// `obj_from_cam` of all keyframes of the request, started at `poses`, the first one held. With a `field` each keyframe
+/// is also drawn to `poses`, where its training left it, as much as the field's surface determines it. `None` if the graph can't be built or solved.
 pub(crate) fn optimise(
     request: &FieldRequest,
     poses: &[Isometry3<f64>],
@@ -19,13 +19,15 @@ pub(crate) fn optimise(
 ) -> Option<Vec<Isometry3<f64>>> {
     let FieldRequest { frames, edges, graph: config, .. } = request;
     let model = field.map(FieldModel);
+    let options = config.solve_options(field.is_some());
     let mut graph = PoseGraph::new();
     for (position, ((_, observation, _), pose)) in frames.iter().zip(poses).enumerate() {
         let node = graph.add_node(Node { obj_from_cam: *pose, fixed: position == 0 });
         graph.set_view(node, &observation.dense).ok()?;
         if let Some(model) = &model {
             let points = observation.sdf_points(config.sdf_points);
-            graph.add_sdf_term(SdfTerm { node, points, model }).ok()?;
+            let information = SdfTerm { node, points, model }.information(pose, &options);
+            graph.add_prior(PosePrior { node, obj_from_cam: *pose, information }).ok()?;
         }
     }
     let position = |index: usize| frames.iter().position(|(i, _, _)| *i == index);
@@ -36,7 +38,7 @@ pub(crate) fn optimise(
     for (source, target) in dense_pairs(poses) {
         graph.add_dense_edge(DenseEdge { source, target }).ok()?;
     }
-    Some(solve(&graph, &config.solve_options(field.is_some())).ok()?.poses)
+    Some(solve(&graph, &options).ok()?.poses)
 }
 
 /// Each keyframe with the nearest of those before it.

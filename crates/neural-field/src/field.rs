@@ -60,6 +60,8 @@ pub struct TrainedField {
 }
 
 impl TrainedField {
+    /// The zero level is moved to the middle of the depth points: losses in free space keep it a little behind them, all
+    /// over, and poses that are drawn to it would follow, round after round.
     pub(crate) fn new(round: &Round, parameters: Parameters, losses: Vec<StepLosses>) -> Self {
         let Round { config, frames, sampler, corrections } = round;
         let poses = corrections.poses();
@@ -86,12 +88,22 @@ impl TrainedField {
             octree,
             poses,
         };
-        field.residuals = field
+        let mut distances: Vec<Vec<f32>> = field
             .poses
             .par_iter()
             .zip(sampler.rays())
-            .map(|(pose, rays)| field.residual(pose, rays))
+            .map(|(pose, rays)| field.distances(pose, rays))
             .collect();
+        let offset = middle(&mut distances.concat()).unwrap_or(0.0);
+        let output = field.networks.geometry[1].bias().start;
+        if let Some(bias) = field.weights.get_mut(output) {
+            *bias -= offset / field.truncation as f32;
+        }
+        let residual = |of_frame: &mut Vec<f32>| {
+            of_frame.iter_mut().for_each(|v| *v = (*v - offset).abs());
+            middle(of_frame).unwrap_or(f32::NAN)
+        };
+        field.residuals = distances.iter_mut().map(residual).collect();
         field
     }
 
@@ -270,7 +282,8 @@ impl TrainedField {
         if self.octree.contains(point) { value } else { f32::NAN }
     }
 
-    fn residual(&self, pose: &Isometry3<f64>, rays: &FrameRays) -> f32 {
+    /// Signed distances of some depth points of a frame, metres, where they are known.
+    fn distances(&self, pose: &Isometry3<f64>, rays: &FrameRays) -> Vec<f32> {
         let rays = &rays.surface;
         let n = rays.dir.len();
         let take = n.min(RESIDUAL_POINTS);
@@ -283,13 +296,15 @@ impl TrainedField {
             .collect();
         let mut sdf = vec![0.0; take];
         self.evaluate_task(&points, &mut sdf, None);
-        let mut error: Vec<f32> = sdf.into_iter().map(f32::abs).filter(|v| v.is_finite()).collect();
-        if error.is_empty() {
-            return f32::NAN;
-        }
-        let middle = error.len() / 2;
-        *error.select_nth_unstable_by(middle, f32::total_cmp).1
+        sdf.retain(|v| v.is_finite());
+        sdf
     }
+}
+
+/// The median, the values in any order after it; `None` without any.
+fn middle(values: &mut [f32]) -> Option<f32> {
+    let middle = values.len() / 2;
+    (!values.is_empty()).then(|| *values.select_nth_unstable_by(middle, f32::total_cmp).1)
 }
 
 fn reach(config: &FieldConfig) -> f64 {

@@ -1,6 +1,6 @@
 //! SDF term: signed distance of a frame's points to a frozen model (eq. `L_s`).
 
-use nalgebra::Isometry3;
+use nalgebra::{Isometry3, Matrix6, Vector6};
 
 use crate::graph::{SdfModel, SdfTerm};
 use crate::jacobian::{RowSums, direction_row, huber};
@@ -13,6 +13,19 @@ use crate::transform::{Rigid, is_finite, narrow, widen};
 /// Variance of a model's gradient in one tangential direction, radians squared: a model that was learnt from noisy
 /// depth is off by some degrees.
 const GRADIENT_VARIANCE: f64 = 0.004;
+
+impl SdfTerm<'_> {
+    /// Information about the node's pose that the term holds at `obj_from_cam`, as a [`PosePrior`](crate::PosePrior) has
+    /// it: of `[rho; phi]`, units 1/m^2 and 1/rad^2. Zero where the model is unknown.
+    ///
+    /// A model that was trained on this very frame repeats what it was told: its residuals, which are its errors, are no
+    /// measurement of the pose, and frames that follow them drift together. The pose at which the training left the frame
+    /// is one, and this is how much it weighs.
+    pub fn information(&self, obj_from_cam: &Isometry3<f64>, options: &SolveOptions) -> Matrix6<f64> {
+        let mut unary = SdfUnary::new(self, options);
+        unary.sums(obj_from_cam).0 * unary.scale
+    }
+}
 
 /// The usable points of one SDF term and the model's answers at the last pose asked.
 pub(crate) struct SdfUnary<'a> {
@@ -80,7 +93,16 @@ impl<'a> SdfUnary<'a> {
     }
 
     pub(crate) fn linearise(&mut self, poses: &[Isometry3<f64>], normal: &mut NormalEquations) -> f64 {
-        self.evaluate(&poses[self.node]);
+        let (h, g, cost) = self.sums(&poses[self.node]);
+        normal.add(self.node, &(h * self.scale), &(g * self.scale));
+        let weight = self.scale * (h[(0, 0)] + h[(1, 1)] + h[(2, 2)]);
+        normal.add_noise(self.node, noise_information(weight, GRADIENT_VARIANCE));
+        self.scale * cost
+    }
+
+    /// Hessian, gradient and cost at a pose, all without the scale, which is set for them.
+    fn sums(&mut self, pose: &Isometry3<f64>) -> (Matrix6<f64>, Vector6<f64>, f64) {
+        self.evaluate(pose);
         let mut sums = RowSums::default();
         let (mut cost, mut count) = (0.0, 0usize);
         for (k, reference) in self.reference.iter_mut().enumerate() {
@@ -96,10 +118,7 @@ impl<'a> SdfUnary<'a> {
         }
         self.scale = if count == 0 { 0.0 } else { self.weight * (self.cap / count as f64).min(1.0) };
         let (h, g) = sums.finish();
-        normal.add(self.node, &(h * self.scale), &(g * self.scale));
-        let weight = self.scale * (h[(0, 0)] + h[(1, 1)] + h[(2, 2)]);
-        normal.add_noise(self.node, noise_information(weight, GRADIENT_VARIANCE));
-        self.scale * cost
+        (h, g, cost)
     }
 
     pub(crate) fn residuals(&mut self, poses: &[Isometry3<f64>], all: &mut Residuals) -> usize {
