@@ -11,7 +11,6 @@ use crate::lanes::Lanes;
 use crate::pass::{RunTile, encode, hidden_layer};
 use crate::pose::PoseCorrections;
 use crate::real::{self, Isa};
-
 use crate::round::Round;
 use crate::sampler::{Buffers, Sampler};
 use crate::simd::Set;

@@ -72,6 +72,14 @@ pub(crate) struct Cells<R> {
     pub(crate) frac: [[R; VECTOR]; 3],
 }
 
+impl<R> Cells<R> {
+    /// A point's cell along each axis; of a hashed lattice only.
+    #[inline(always)]
+    pub(crate) fn cell(&self, p: usize) -> [u32; 3] {
+        [self.cell[0][p], self.cell[1][p], self.cell[2][p]]
+    }
+}
+
 impl Level {
     /// Cells of the points from `start` in `pos[axis * lanes + point]`, in the unit cube (clamped to it).
     #[inline(always)]
@@ -114,10 +122,15 @@ impl Level {
         [0, n, n * n, n * n + n]
     }
 
-    /// Vertices of a point's cell in a hashed lattice, rows as in [`strides`](Self::strides).
+    /// From where a cell's features start in a dense lattice's table to where they end.
     #[inline(always)]
-    pub(crate) fn hashed<R: Real>(&self, mask: u32, cells: &Cells<R>, p: usize) -> [[usize; 2]; 4] {
-        let [x, y, z] = [cells.cell[0][p], cells.cell[1][p], cells.cell[2][p]];
+    pub(crate) fn reach(&self) -> usize {
+        FEATURES * (self.strides()[3] + 2)
+    }
+
+    /// Vertices of a cell in a hashed lattice, rows as in [`strides`](Self::strides).
+    #[inline(always)]
+    pub(crate) fn hashed(&self, mask: u32, [x, y, z]: [u32; 3]) -> [[usize; 2]; 4] {
         let (y0, y1) = (y.wrapping_mul(HASH_Y), (y + 1).wrapping_mul(HASH_Y));
         let (z0, z1) = (z.wrapping_mul(HASH_Z), (z + 1).wrapping_mul(HASH_Z));
         let mut rows = [[0; 2]; 4];
@@ -147,7 +160,7 @@ impl Level {
             Some(mask) => {
                 let mut found = [[R::ZERO; VECTOR]; 4];
                 for q in 0..<R::V<I>>::N / 4 {
-                    let vertices = self.hashed(mask, cells, first + 4 * q + place);
+                    let vertices = self.hashed(mask, cells.cell(first + 4 * q + place));
                     for (found, [a, b]) in found.iter_mut().zip(vertices) {
                         found[4 * q..4 * q + 2].copy_from_slice(&table[2 * a..2 * a + 2]);
                         found[4 * q + 2..4 * q + 4].copy_from_slice(&table[2 * b..2 * b + 2]);
@@ -377,7 +390,7 @@ mod tests {
             let n = level.vertices as usize - 1;
             for i in 0..n * n {
                 let p = [i % n, i / n, n / 2].map(|c| (c as f64 + 0.01 - 0.5) / level.scale);
-                used.insert(level.hashed(level.hash_mask.unwrap(), &locate(level, p), 0)[0][0]);
+                used.insert(level.hashed(level.hash_mask.unwrap(), locate(level, p).cell(0))[0][0]);
             }
             let expected = table as f64 * (1.0 - (-((n * n) as f64) / table as f64).exp());
             assert!(used.len() as f64 > 0.9 * expected, "{} of {expected}", used.len());
@@ -426,7 +439,7 @@ mod tests {
         for level in &grid.levels {
             for p in [[0.0; 3], [1.0; 3], [f32::NAN; 3], [-5.0, 7.0, 1e30]] {
                 let base = locate(level, p).base[0] as usize;
-                assert!(base + FEATURES * (level.strides()[3] + 2) <= FEATURES * level.len);
+                assert!(base + level.reach() <= FEATURES * level.len);
             }
         }
     }

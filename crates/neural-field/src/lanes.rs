@@ -17,6 +17,10 @@ pub(crate) trait Lanes<R>: Copy {
     fn splat(x: R) -> Self;
     fn load(x: &[R], from: usize) -> Self;
     fn store(self, x: &mut [R], from: usize);
+    /// Quads that are filled each with one of the numbers from `from`.
+    fn spread(x: &[R], from: usize) -> Self;
+    /// Quads of the same four numbers, those from `from`.
+    fn repeat(x: &[R], from: usize) -> Self;
     /// Quads from several places in `x`: the `k`-th from `from[4 * k + place] + offset`.
     fn load_quads(x: &[R], from: &[u32], place: usize, offset: usize) -> Self;
     /// Quads to several places in `x`: the `k`-th to `(4 * k + place) * stride`.
@@ -91,6 +95,24 @@ impl<R: Real, const N: usize> Lanes<R> for Plain<R, N> {
     #[inline(always)]
     fn store(self, x: &mut [R], from: usize) {
         x[from..from + N].copy_from_slice(&self.0);
+    }
+
+    #[inline(always)]
+    fn spread(x: &[R], from: usize) -> Self {
+        let (x, mut v) = (&x[from..from + N / 4], [R::ZERO; N]);
+        for l in 0..N {
+            v[l] = x[l / 4];
+        }
+        Self(v)
+    }
+
+    #[inline(always)]
+    fn repeat(x: &[R], from: usize) -> Self {
+        let (x, mut v) = (&x[from..from + 4], [R::ZERO; N]);
+        for l in 0..N {
+            v[l] = x[l % 4];
+        }
+        Self(v)
     }
 
     #[inline(always)]

@@ -198,6 +198,14 @@ pub(crate) mod x86 {
         }
     }
 
+    impl F32x8 {
+        #[inline(always)]
+        fn of_halves(low: F32x4, high: F32x4) -> Self {
+            // SAFETY: the processor has the instruction, see the module; it touches no memory.
+            Self(unsafe { _mm256_set_m128(high.0, low.0) })
+        }
+    }
+
     impl Lanes<f32> for F32x4 {
         lanes! {
             4, _mm_set1_ps, _mm_loadu_ps, _mm_storeu_ps;
@@ -219,6 +227,16 @@ pub(crate) mod x86 {
         fn less(self, b: Self) -> u32 {
             // SAFETY: the processor has the instructions, see the module; they touch no memory.
             unsafe { _mm_movemask_ps(_mm_cmplt_ps(self.0, b.0)) as u32 }
+        }
+
+        #[inline(always)]
+        fn spread(x: &[f32], from: usize) -> Self {
+            Self::splat(x[from])
+        }
+
+        #[inline(always)]
+        fn repeat(x: &[f32], from: usize) -> Self {
+            Self::load(x, from)
         }
 
         #[inline(always)]
@@ -290,11 +308,22 @@ pub(crate) mod x86 {
         }
 
         #[inline(always)]
+        fn spread(x: &[f32], from: usize) -> Self {
+            let x = &x[from..from + 2];
+            Self::of_halves(F32x4::splat(x[0]), F32x4::splat(x[1]))
+        }
+
+        #[inline(always)]
+        fn repeat(x: &[f32], from: usize) -> Self {
+            let quad = F32x4::load(x, from);
+            Self::of_halves(quad, quad)
+        }
+
+        #[inline(always)]
         fn load_quads(x: &[f32], from: &[u32], place: usize, offset: usize) -> Self {
             let low = F32x4::at(x, from, 0, place, offset);
             let high = F32x4::at(x, from, 1, place, offset);
-            // SAFETY: the processor has the instruction, see the module; it touches no memory.
-            Self(unsafe { _mm256_set_m128(high.0, low.0) })
+            Self::of_halves(low, high)
         }
 
         #[inline(always)]
@@ -360,6 +389,23 @@ pub(crate) mod x86 {
         fn less(self, b: Self) -> u32 {
             // SAFETY: the processor has the instructions, see the module; they touch no memory.
             unsafe { u32::from(_mm512_cmp_ps_mask::<_CMP_LT_OQ>(self.0, b.0)) }
+        }
+
+        #[inline(always)]
+        fn spread(x: &[f32], from: usize) -> Self {
+            let quad = F32x4::load(x, from);
+            // SAFETY: the processor has the instructions, see the module; they touch no memory.
+            Self(unsafe {
+                let places = _mm512_set_epi32(3, 3, 3, 3, 2, 2, 2, 2, 1, 1, 1, 1, 0, 0, 0, 0);
+                _mm512_permutexvar_ps(places, _mm512_castps128_ps512(quad.0))
+            })
+        }
+
+        #[inline(always)]
+        fn repeat(x: &[f32], from: usize) -> Self {
+            let quad = F32x4::load(x, from);
+            // SAFETY: the processor has the instruction, see the module; it touches no memory.
+            Self(unsafe { _mm512_broadcast_f32x4(quad.0) })
         }
 
         #[inline(always)]
