@@ -31,9 +31,9 @@ struct Params {
     w_eikonal: f32,
     w_ring_empty: f32,
     w_ring_uncertain: f32,
-    unused_a: u32,
-    unused_b: u32,
-    unused_c: u32,
+    free_distance: f32,
+    epsilon: f32,
+    unused: u32,
 }
 
 @group(0) @binding(0) var<uniform> params: Params;
@@ -41,14 +41,15 @@ struct Params {
 @group(0) @binding(2) var<storage, read> poses: array<vec4<f32>>;
 // Frames with surface rays, then frames with ring rays: frame, first candidate, candidates.
 @group(0) @binding(3) var<storage, read> frames: array<vec4<u32>>;
-// Two vectors a candidate: direction and distance (ring: limit, negative for an empty ray), colour and cosine.
+// Three vectors a candidate: direction and distance (ring: limit, negative for an empty ray), colour and cosine, depth of
+// the object (ring: clearance; both truncation units).
 @group(0) @binding(4) var<storage, read> candidates: array<vec4<f32>>;
 // A mask of 64 voxels a brick.
 @group(0) @binding(5) var<storage, read> occupancy: array<vec2<u32>>;
 // Three vectors a ray: origin (edges, about the centre), direction (object), colour and weight of the colour loss.
 @group(0) @binding(6) var<storage, read_write> rays: array<vec4<f32>>;
-// Distance (edges), target (truncation units), weight of the surface loss (ring: of the uncertain loss), of the
-// empty loss.
+// Distance (edges), target or least distance (truncation units), weight of the surface loss (ring: of the uncertain
+// loss), of the empty loss.
 @group(0) @binding(7) var<storage, read_write> samples: array<vec4<f32>>;
 // Per central lane: share in the ray's colour, weight of the eikonal loss.
 @group(0) @binding(8) var<storage, read_write> central: array<vec2<f32>>;
@@ -211,9 +212,10 @@ fn surface_ray(r: u32) {
     let slot = ((step % params.surface_frames) * (n % params.surface_frames) + r) % params.surface_frames;
     let source = frames[slot];
     var draws = Draws(vec3<u32>(params.seed.x, params.seed.y + step, 2u * r), 0u, vec4<u32>(0u));
-    let candidate = 2u * (source.y + pick(&draws, source.z));
+    let candidate = 3u * (source.y + pick(&draws, source.z));
     let dir_distance = candidates[candidate];
     let color_cosine = candidates[candidate + 1u];
+    let behind = min(params.behind, candidates[candidate + 2u].x);
     let d = dir_distance.w;
     let cosine = color_cosine.w;
     let edge = params.center.w;
@@ -253,13 +255,13 @@ fn surface_ray(r: u32) {
         }
         let target_distance = (d - t) * cosine / params.truncation;
         let inside = in_cube(origin, dir, t);
-        let near = inside && abs(target_distance) <= 1.0 && target_distance >= -params.behind - 1e-3;
+        let near = inside && abs(target_distance) <= 1.0 && target_distance >= -behind - 1e-3;
         let far_from_middle = target_distance * params.falloff_rate;
         let falloff = 1.0 / (1.0 + far_from_middle * far_from_middle);
         let w_surface = cosine * cosine * weight * params.w_surface * falloff;
         samples[first + row * n + r] = vec4<f32>(
             t / edge,
-            target_distance,
+            select(target_distance, params.free_distance, target_distance > 1.0),
             select(0.0, w_surface, near),
             select(0.0, weight * params.w_empty, inside && target_distance > 1.0),
         );
@@ -282,8 +284,11 @@ fn ring_ray(r: u32) {
     let slot = ((step % params.ring_frames) * (n % params.ring_frames) + r) % params.ring_frames;
     let source = frames[params.surface_frames + slot];
     var draws = Draws(vec3<u32>(params.seed.x, params.seed.y + step, 2u * r + 1u), 0u, vec4<u32>(0u));
-    let dir_limit = candidates[2u * (source.y + pick(&draws, source.z))];
+    let candidate = 3u * (source.y + pick(&draws, source.z));
+    let dir_limit = candidates[candidate];
     let empty = dir_limit.w < 0.0;
+    let clearance = candidates[candidate + 2u].x;
+    let least = select(min(clearance, params.epsilon), clearance, empty);
     let weight = select(1.0, params.first_frame_weight, source.x == 0u);
     let ray = params.surface_rays + r;
     let dir = object_ray(ray, source.x, dir_limit.xyz);
@@ -296,6 +301,7 @@ fn ring_ray(r: u32) {
             let t = next_stratum(&strata, (f32(k) + uniform_number(&draws)) / f32(params.free));
             if (in_cube(origin, dir, t)) {
                 sample.x = t / params.center.w;
+                sample.y = least;
                 sample.z = select(weight * params.w_ring_uncertain, 0.0, empty);
                 sample.w = select(0.0, weight * params.w_ring_empty, empty);
             }

@@ -5,10 +5,6 @@ struct Params {
     ring_rays: u32,
     free: u32,
     rows: u32,
-    epsilon: f32,
-    unused_a: u32,
-    unused_b: u32,
-    unused_c: u32,
 }
 
 @group(0) @binding(0) var<uniform> params: Params;
@@ -34,15 +30,14 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
         let lane = first + k * stride;
         let s = sdf[lane];
         let sample = samples[lane];
-        let empty = max(1.0 - s, 0.0);
-        var slope = select(0.0, -sample.w, empty > 0.0);
-        losses.y += sample.w * empty;
+        let off = s - sample.y;
+        let below = max(-off, 0.0);
+        var slope = select(0.0, -sample.w, below > 0.0);
+        losses.y += sample.w * below;
         if (ring) {
-            let uncertain = max(params.epsilon - s, 0.0);
-            losses.x += sample.z * uncertain * uncertain;
-            slope -= 2.0 * sample.z * uncertain;
+            losses.x += sample.z * below * below;
+            slope -= 2.0 * sample.z * below;
         } else {
-            let off = s - sample.y;
             losses.z += sample.z * off * off;
             slope += 2.0 * sample.z * off;
         }

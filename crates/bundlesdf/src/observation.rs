@@ -113,7 +113,10 @@ impl Observation {
         let samples = spread_samples(&points, &normals);
         let dense = downscale(&points, &normals, &intrinsics, valid * zoom * zoom, config.graph.dense_pixels);
         let pyramid = Pyramid::new(to_gray(&color), pyramid_levels(width, height));
-        let images = Arc::new(field_images(index, &color, &raw, &clean, &crop_mask, &intrinsics));
+        let mut images = field_images(index, &color, &raw, &clean, &crop_mask, &intrinsics);
+        // What was eroded, and a pixel of blur.
+        images.mask_margin = ((p.mask_erosion + 1) * zoom) as f32;
+        let images = Arc::new(images);
         Ok(Self {
             index,
             intrinsics,
@@ -400,6 +403,7 @@ fn field_images(
         color: color.pixels().to_vec(),
         depth,
         mask: mask.pixels().to_vec(),
+        mask_margin: 0.0,
     }
 }
 

@@ -6,9 +6,9 @@ use crate::error::FieldError;
 /// colour), so weights mean the same for every object size and batch size.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LossWeights {
-    /// Uncertain free space, one-sided L2 to [`FieldConfig::epsilon`].
+    /// Uncertain free space, one-sided L2 to [`FieldConfig::epsilon`] or the ray's clearance.
     pub uncertain: f64,
-    /// Empty space, one-sided L1 to one truncation distance.
+    /// Empty space, one-sided L1 to [`FieldConfig::free_distance`], beside the object to the ray's clearance.
     pub empty: f64,
     /// Near-surface distance, L2.
     pub surface: f64,
@@ -35,7 +35,9 @@ pub struct FieldConfig {
     pub color_samples: usize,
     /// Truncation distance (lambda), metres.
     pub truncation: f64,
-    /// How far behind the measured depth samples reach, in truncation units (the paper 0.5, the release 1).
+    /// How far behind the measured depth samples reach, in truncation units (the paper 0.5, the release 1); nowhere
+    /// further than the silhouette's rim is away: a part may be as thin as it looks narrow, and the distance to its front
+    /// is not that to its nearest side.
     pub behind: f64,
     /// Distance from the measured depth, in truncation units, at which the surface loss's weight has fallen to one
     /// half, `1 / (1 + (u / falloff)^2)`; 0 keeps it constant. Far from the surface the distance along a ray is not
@@ -64,6 +66,9 @@ pub struct FieldConfig {
     pub weights: LossWeights,
     /// Distance to which uncertain free space is lifted, truncation units.
     pub epsilon: f64,
+    /// Distance to which the space in front of a measured depth is lifted, truncation units (1 in the paper). On its way
+    /// a ray may graze another part of the object, which a large value pushes away from it.
+    pub free_distance: f64,
     /// Softness (alpha) of the bell that blends the colours of a ray around the measured depth.
     pub color_sharpness: f64,
     /// Share of the steps that pass before colour is trained.
@@ -76,6 +81,8 @@ pub struct FieldConfig {
     pub pose_learning_rate: f64,
     /// Share of the steps before poses start to move; their rate then grows to its full value over as many steps.
     pub pose_start: f64,
+    /// Share of the steps after which poses rest and the field settles on them.
+    pub pose_end: f64,
     /// Learning rates at the last step over those at the first; exponential in between.
     pub decay: f64,
     /// Bound of a pose's correction in a round, metres per axis.
@@ -122,9 +129,11 @@ impl FieldConfig {
             surface_falloff: 0.0,
             pose_learning_rate: 0.01,
             pose_start: 0.0,
+            pose_end: 1.0,
             finest_resolution: 128,
             levels: 4,
             epsilon: 0.001,
+            free_distance: 1.0,
             color_start: 0.0,
             eikonal_every: 1,
             first_frame_weight: 1.0,
@@ -170,12 +179,14 @@ impl FieldConfig {
             appearance: 0,
             weights: LossWeights { uncertain: 5.0, empty: 1.0, surface: 10.0, color: 20.0, eikonal: 0.1 },
             epsilon: 0.2,
+            free_distance: 0.3,
             color_sharpness: 5.0,
             color_start: 0.0,
             eikonal_every: 2,
             learning_rate: 0.01,
             pose_learning_rate: 0.03,
             pose_start: 0.05,
+            pose_end: 0.85,
             decay: 0.1,
             max_translation: 0.02,
             max_rotation_deg: 20.0,
@@ -212,6 +223,8 @@ impl FieldConfig {
             ("epsilon", self.epsilon),
             ("surface_falloff", self.surface_falloff),
             ("pose_start", self.pose_start),
+            ("pose_end", self.pose_end),
+            ("free_distance", self.free_distance),
             ("color_start", self.color_start),
             ("max_translation", self.max_translation),
             ("max_rotation_deg", self.max_rotation_deg),

@@ -317,9 +317,9 @@ fn support(
     frames: &[Arc<FieldImages>],
     poses: &[Isometry3<f64>],
 ) -> Option<VoxelOctree> {
-    // From one to two voxels around a point are within reach.
-    let reach = reach(config) as f32;
-    let voxel = (0.4 * reach).min(0.5 * octree.voxel_size());
+    // From one to two voxels around a point are within reach; smaller ones than the points' spacing would leave gaps.
+    let spacing = frames.iter().filter_map(|f| f.point_spacing(SUPPORT_POINTS)).fold(0.0, f32::max);
+    let voxel = (0.4 * reach(config) as f32).max(spacing).min(0.5 * octree.voxel_size());
     let key = |p: &[f32; 3]| p.map(|v| (v / (2.0 * voxel)).floor() as i32);
     let mut cloud = Vec::new();
     // By cell: the last frame that had a point in it, and the number of frames.

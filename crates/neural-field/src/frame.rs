@@ -30,6 +30,8 @@ pub struct FieldImages {
     pub depth: Vec<f32>,
     /// Object mask, 0 is background.
     pub mask: Vec<u8>,
+    /// How far the object may reach beyond its mask, pixels: what was eroded, and the blur of its border.
+    pub mask_margin: f32,
 }
 
 impl FieldImages {
@@ -42,6 +44,9 @@ impl FieldImages {
         let intrinsics = [self.fx, self.fy, self.cx, self.cy];
         if !(intrinsics.iter().all(|v| v.is_finite()) && self.fx > 0.0 && self.fy > 0.0) {
             return fail("intrinsics must be finite and focal lengths positive");
+        }
+        if !(self.mask_margin >= 0.0 && self.mask_margin.is_finite()) {
+            return fail("mask_margin must be a finite number of at least 0");
         }
         Ok(())
     }
@@ -78,11 +83,28 @@ impl FieldImages {
         b
     }
 
+    /// Typical distance between neighbouring points of [`points`](Self::points) on a surface across the line of sight,
+    /// metres; `None` without any.
+    pub(crate) fn point_spacing(&self, most: usize) -> Option<f32> {
+        let mut depths = Vec::new();
+        let bounds = self.mask_box()?;
+        let stride = raster(bounds, most);
+        let [u0, v0, u1, v1] = bounds;
+        for v in (v0..=v1).step_by(stride) {
+            depths.extend(
+                (u0..=u1).step_by(stride).filter(|u| self.masked(*u, v)).filter_map(|u| self.depth_at(u, v)),
+            );
+        }
+        let middle = depths.len() / 2;
+        let (_, z, _) =
+            (!depths.is_empty()).then(|| depths.select_nth_unstable_by(middle, f32::total_cmp))?;
+        Some(*z * stride as f32 / self.fx.min(self.fy) as f32)
+    }
+
     /// About `most` masked depth points in the object frame, on a regular pixel raster.
     pub(crate) fn points(&self, obj_from_cam: &Isometry3<f64>, most: usize, out: &mut Vec<[f32; 3]>) {
         let Some([u0, v0, u1, v1]) = self.mask_box() else { return };
-        let area = (u1 - u0 + 1) * (v1 - v0 + 1);
-        let stride = ((area as f64 / most as f64).sqrt().ceil() as usize).max(1);
+        let stride = raster([u0, v0, u1, v1], most);
         for v in (v0..=v1).step_by(stride) {
             for u in (u0..=u1).step_by(stride) {
                 if let (true, Some(z)) = (self.masked(u, v), self.depth_at(u, v)) {
@@ -92,4 +114,10 @@ impl FieldImages {
             }
         }
     }
+}
+
+/// Step between the pixels of a box (inclusive) of which about `most` are wanted.
+fn raster([u0, v0, u1, v1]: [usize; 4], most: usize) -> usize {
+    let area = (u1 - u0 + 1) * (v1 - v0 + 1);
+    ((area as f64 / most as f64).sqrt().ceil() as usize).max(1)
 }

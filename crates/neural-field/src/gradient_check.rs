@@ -64,7 +64,6 @@ fn problem(only: Option<usize>, log2_table: u32) -> Problem {
             let mut tile = Tile::new(lanes, RAYS * CENTRAL);
             tile.has_color = on(loss::COLOR);
             tile.has_eikonal = on(loss::EIKONAL);
-            tile.epsilon = 0.4;
             for r in 0..RAYS {
                 tile.frame[r] = (random(&mut s) * FRAMES as f64) as usize;
                 let d = Vector3::new(between(&mut s, -0.1, 0.1), between(&mut s, -0.1, 0.1), 1.0).normalize();
@@ -244,7 +243,6 @@ fn single(p: &Problem, set: Set) -> Gradient<f32> {
         tile.w_surface = narrow(&t.w_surface);
         tile.w_empty = narrow(&t.w_empty);
         tile.w_uncertain = narrow(&t.w_uncertain);
-        tile.epsilon = t.epsilon as f32;
         tile.bell = narrow(&t.bell);
         tile.w_eikonal = narrow(&t.w_eikonal);
         tile.has_color = t.has_color;

@@ -19,6 +19,7 @@
 //!     color: vec![[128; 3]; n],
 //!     depth: (0..n).map(|i| if object(i) { 0.5 } else { 0.0 }).collect(),
 //!     mask: (0..n).map(|i| u8::from(object(i))).collect(),
+//!     mask_margin: 0.5,
 //! };
 //! let config = FieldConfig { steps: 60, ..FieldConfig::realtime() };
 //! let field = train(&config, &[Arc::new(frame)], &[Isometry3::identity()], &Control::default())?;
@@ -26,7 +27,7 @@
 //! // Positive in front of the wall, negative behind, metres; NaN where nothing was seen.
 //! let mut sdf = [0.0; 3];
 //! field.sdf(&[[0.0, 0.0, 0.495], [0.0, 0.0, 0.503], [0.0, 0.0, 9.0]], &mut sdf);
-//! assert!(sdf[0] > 0.003 && sdf[1] < -0.001 && sdf[2].is_nan());
+//! assert!(sdf[0] > 0.003 && sdf[1] < -0.0005 && sdf[2].is_nan());
 //! # Ok::<(), neural_field::FieldError>(())
 //! ```
 //!
@@ -80,6 +81,7 @@ mod round;
 mod sampler;
 mod scatter;
 mod sight;
+mod silhouette;
 mod simd;
 mod tile;
 mod train;

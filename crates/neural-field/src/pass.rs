@@ -158,15 +158,13 @@ fn sdf_losses<R: Real>(tile: &Tile<R>, s: &mut Scratch<R>, losses: &mut [R; loss
     let mut sums = [R::ZERO; 3];
     for l in 0..tile.lanes {
         let sdf = s.sdf[l];
-        let uncertain = (tile.epsilon - sdf).positive();
-        let empty = (R::ONE - sdf).positive();
         let surface = sdf - tile.target[l];
-        sums[loss::UNCERTAIN] += tile.w_uncertain[l] * uncertain * uncertain;
-        sums[loss::EMPTY] += tile.w_empty[l] * empty;
+        let below = (-surface).positive();
+        sums[loss::UNCERTAIN] += tile.w_uncertain[l] * below * below;
+        sums[loss::EMPTY] += tile.w_empty[l] * below;
         sums[loss::SURFACE] += tile.w_surface[l] * surface * surface;
-        let step = if empty > R::ZERO { R::ONE } else { R::ZERO };
-        s.d_sdf[l] =
-            two * (tile.w_surface[l] * surface - tile.w_uncertain[l] * uncertain) - tile.w_empty[l] * step;
+        let step = if below > R::ZERO { tile.w_empty[l] } else { R::ZERO };
+        s.d_sdf[l] = two * (tile.w_surface[l] * surface - tile.w_uncertain[l] * below) - step;
     }
     losses[..3].copy_from_slice(&sums);
 }

@@ -2,6 +2,7 @@
 
 use crate::config::FieldConfig;
 use crate::frame::FieldImages;
+use crate::silhouette::{NOWHERE, nearest_background, nearest_masked};
 use crate::volume::Volume;
 use nalgebra::{Isometry3, Point3};
 
@@ -17,6 +18,8 @@ pub(crate) struct SurfaceRays {
     pub(crate) distance: Vec<f32>,
     /// Cosine between ray and surface normal; 1 where unknown.
     pub(crate) cosine: Vec<f32>,
+    /// How deep the object may be taken to be here, truncation units: no deeper than the silhouette's rim is away.
+    pub(crate) depth: Vec<f32>,
     /// RGB in 0..1.
     pub(crate) color: Vec<[f32; 3]>,
 }
@@ -37,6 +40,8 @@ pub(crate) struct RingRays {
     /// Samples stay nearer than this, metres along the ray.
     pub(crate) limit: Vec<f32>,
     pub(crate) kind: Vec<RingKind>,
+    /// Least distance between the ray and the object, truncation units, at most 1: no point of the ray is nearer.
+    pub(crate) clearance: Vec<f32>,
 }
 
 /// One frame's candidates.
@@ -57,22 +62,24 @@ impl FrameRays {
         let mut rays = Self::default();
         let Some(mask_box) = frame.mask_box() else { return rays };
         let radius = ring_radius(mask_box, config.ring_width);
-        let near = if config.ring_rays > 0 { dilate(frame, radius) } else { Vec::new() };
+        let near = if config.ring_rays > 0 { nearest_masked(frame, radius) } else { Vec::new() };
+        let far = nearest_background(frame, radius.max(1));
         let (mut inside, mut ring) = (Vec::new(), Vec::new());
         for v in 0..frame.height {
             for u in 0..frame.width {
                 if frame.masked(u, v) {
                     if let Some(z) = frame.depth_at(u, v) {
-                        inside.push((u, v, z));
+                        inside.push((u, v, z, far[v * frame.width + u]));
                     }
-                } else if near.get(v * frame.width + u).is_some_and(|&n| n) {
-                    ring.push((u, v));
+                } else if let Some(&rim) = near.get(v * frame.width + u)
+                    && rim != NOWHERE
+                {
+                    ring.push(((u, v), rim));
                 }
             }
         }
         for i in spread(inside.len(), config.rays_per_frame) {
-            let (u, v, z) = inside[i];
-            rays.push_surface(frame, obj_from_cam, volume, config, (u, v, z));
+            rays.push_surface(frame, obj_from_cam, volume, config, inside[i]);
         }
         let mut intervals = Vec::new();
         for i in spread(ring.len(), config.rays_per_frame) {
@@ -87,7 +94,7 @@ impl FrameRays {
         obj_from_cam: &Isometry3<f64>,
         volume: &Volume,
         config: &FieldConfig,
-        (u, v, z): (usize, usize, f32),
+        (u, v, z, rim): (usize, usize, f32, [u32; 2]),
     ) {
         let ray = frame.ray(u, v);
         let length = norm(ray);
@@ -98,6 +105,12 @@ impl FrameRays {
         let s = &mut self.surface;
         s.dir.push(ray.map(|c| (c / length) as f32));
         s.distance.push(z * length as f32);
+        let depth = if rim == NOWHERE {
+            1.0
+        } else {
+            pixel_distance((u, v), rim) * f64::from(z) / frame.fx.max(frame.fy) / config.truncation
+        };
+        s.depth.push(depth.min(1.0) as f32);
         s.color.push(frame.color[v * frame.width + u].map(|c| f32::from(c) / 255.0));
         let cosine = if config.incidence_correction { incidence(frame, u, v, z, config) } else { None };
         s.cosine.push(cosine.unwrap_or(1.0).clamp(MIN_COSINE, 1.0));
@@ -109,7 +122,7 @@ impl FrameRays {
         obj_from_cam: &Isometry3<f64>,
         volume: &Volume,
         config: &FieldConfig,
-        (u, v): (usize, usize),
+        ((u, v), rim): ((usize, usize), [u32; 2]),
         intervals: &mut Vec<[f32; 2]>,
     ) {
         let ray = frame.ray(u, v);
@@ -132,6 +145,11 @@ impl FrameRays {
         if kind.0 <= intervals[0][0] {
             return;
         }
+        // Where the rim has no reading, as near as the object can be: what the ray passes by is then less, not more.
+        let [x, y] = rim.map(|c| c as usize);
+        let at_rim = frame.depth_at(x, y).unwrap_or(intervals[0][0] / length as f32);
+        let across = clearance(frame, (u, v), rim, at_rim);
+        self.ring.clearance.push((across / config.truncation).min(1.0) as f32);
         self.ring.dir.push(dir);
         self.ring.limit.push(kind.0);
         self.ring.kind.push(kind.1);
@@ -161,29 +179,16 @@ fn ring_radius([u0, v0, u1, v1]: [usize; 4], share: f64) -> usize {
     if share > 0.0 { ((side * share).round() as usize).max(1) } else { 0 }
 }
 
-/// The mask grown by a square of the given radius, in two passes of running distances.
-fn dilate(frame: &FieldImages, radius: usize) -> Vec<bool> {
-    let (w, h) = (frame.width, frame.height);
-    let mut rows = vec![false; w * h];
-    for v in 0..h {
-        let row = &frame.mask[v * w..(v + 1) * w];
-        grow(w, radius, |u| row[u] != 0, |u| rows[v * w + u] = true);
-    }
-    let mut out = vec![false; w * h];
-    for u in 0..w {
-        grow(h, radius, |v| rows[v * w + u], |v| out[v * w + u] = true);
-    }
-    out
+fn pixel_distance((u, v): (usize, usize), [x, y]: [u32; 2]) -> f64 {
+    (u as f64 - f64::from(x)).hypot(v as f64 - f64::from(y))
 }
 
-fn grow(n: usize, radius: usize, set: impl Fn(usize) -> bool, mut mark: impl FnMut(usize)) {
-    let mut next = 0;
-    for i in (0..n).filter(|&i| set(i)) {
-        for j in next.max(i.saturating_sub(radius))..(i + radius + 1).min(n) {
-            mark(j);
-            next = j + 1;
-        }
-    }
+/// How far the ray through a pixel passes by the object, metres. The rim is at the masked pixel nearest to it, of depth
+/// `z`, or up to [`FieldImages::mask_margin`] nearer; where the ray passes the rim the distance is that between the two
+/// pixels at this depth, and everywhere else on the ray it is larger.
+fn clearance(frame: &FieldImages, pixel: (usize, usize), rim: [u32; 2], z: f32) -> f64 {
+    let pixels = pixel_distance(pixel, rim) - f64::from(frame.mask_margin);
+    pixels.max(0.0) * f64::from(z) / frame.fx.max(frame.fy)
 }
 
 /// Cosine between the ray and the normal of a plane fitted around the pixel.
@@ -254,6 +259,7 @@ mod tests {
             color: vec![[0; 3]; w * h],
             depth: vec![0.0; w * h],
             mask: vec![1; w * h],
+            mask_margin: 1.0,
         };
         for v in 0..h {
             for u in 0..w {
@@ -280,17 +286,27 @@ mod tests {
     }
 
     #[test]
-    fn dilation_grows_by_the_radius() {
-        let mut frame = plane([0.0, 0.0, 1.0]);
-        frame.mask.fill(0);
-        frame.mask[20 * 64 + 30] = 1;
-        frame.mask[21 * 64 + 33] = 1;
-        let near = dilate(&frame, 4);
-        for v in 0..48usize {
-            for u in 0..64usize {
-                let close = |a: usize, b: usize| u.abs_diff(a) <= 4 && v.abs_diff(b) <= 4;
-                assert_eq!(near[v * 64 + u], close(30, 20) || close(33, 21));
+    fn no_ray_is_said_to_pass_further_off_than_it_does() {
+        // A disc facing the camera: a ray beside it is as far from it as its pixel from the rim.
+        let (mut frame, radius) = (plane([0.0, 0.0, 1.0]), 12.0);
+        let from_centre = |u: usize, v: usize| (u as f64 - 32.0).hypot((v as f64 - 24.0) * 60.0 / 55.0);
+        for (i, m) in frame.mask.iter_mut().enumerate() {
+            *m = u8::from(from_centre(i % 64, i / 64) <= radius);
+        }
+        let near = nearest_masked(&frame, 10);
+        let mut most = 0.0f64;
+        for v in 0..48 {
+            for u in 0..64 {
+                let edge = near[v * 64 + u];
+                if edge == NOWHERE || frame.masked(u, v) {
+                    continue;
+                }
+                let said = clearance(&frame, (u, v), edge, 0.5);
+                let real = (from_centre(u, v) - radius) * 0.5 / 60.0;
+                assert!(said <= real + 1e-6 && said > real - 2.5 * 0.5 / 55.0, "{u} {v}: {said} {real}");
+                most = most.max(said);
             }
         }
+        assert!(most > 0.05);
     }
 }

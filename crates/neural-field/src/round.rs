@@ -107,8 +107,12 @@ impl Round {
     }
 }
 
-/// 0 until `pose_start`, then up to 1 over as many steps: a field that is still noise has no say in the poses.
+/// 0 until `pose_start`, then up to 1 over as many steps: a field that is still noise has no say in the poses. 0 again
+/// from `pose_end` on.
 fn pose_ramp(config: &FieldConfig, step: usize) -> f64 {
+    if step as f64 >= config.pose_end * config.steps as f64 {
+        return 0.0;
+    }
     let start = config.pose_start * config.steps as f64;
     if start < 1.0 { 1.0 } else { (step as f64 / start - 1.0).clamp(0.0, 1.0) }
 }

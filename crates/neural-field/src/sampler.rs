@@ -151,7 +151,6 @@ impl Sampler {
         tile.has_color = c.weights.color > 0.0 && active;
         tile.has_eikonal =
             c.weights.eikonal > 0.0 && c.eikonal_every > 0 && (index + step) % c.eikonal_every == 0;
-        tile.epsilon = c.epsilon as f32;
         tile.w_uncertain.fill(0.0);
         tile.bell.fill(0.0);
         tile.w_eikonal.fill(0.0);
@@ -164,8 +163,9 @@ impl Sampler {
             let source = &self.rays[frame].surface;
             let mut draws = self.draws(Purpose::Surface, step, index * RAYS + r);
             let i = draws.pick(source.dir.len());
-            let (d, cosine) = (source.distance[i], source.cosine[i]);
+            let (d, cosine, deep) = (source.distance[i], source.cosine[i], source.depth[i]);
             let weight = self.weights[frame];
+            let behind = (c.behind as f32).min(deep);
             tile.frame[r] = frame;
             tile.dir[r] = source.dir[i];
             tile.color[r] = source.color[i];
@@ -200,9 +200,9 @@ impl Sampler {
                 let lane = row * RAYS + r;
                 let target = (d - t) * cosine / c.truncation as f32;
                 let inside = ray.in_cube(t);
-                let near = inside && target.abs() <= 1.0 && target >= -(c.behind as f32) - 1e-3;
+                let near = inside && target.abs() <= 1.0 && target >= -behind - 1e-3;
                 tile.t[lane] = t / self.volume.edge as f32;
-                tile.target[lane] = target;
+                tile.target[lane] = if target > 1.0 { c.free_distance as f32 } else { target };
                 let falloff = 1.0 / (1.0 + (target * falloff_rate).powi(2));
                 tile.w_surface[lane] = if near { w_surface * falloff } else { 0.0 };
                 tile.w_empty[lane] = if inside && target > 1.0 { w_empty } else { 0.0 };
@@ -233,7 +233,6 @@ impl Sampler {
     ) {
         let (c, n) = (&self.config, self.counts);
         let samples = (n.ring_tiles * RAYS * n.free) as f32;
-        tile.epsilon = c.epsilon as f32;
         for r in 0..RAYS {
             let slot = step * n.ring_tiles * RAYS + index * RAYS + r;
             let frame = self.ring_frames[slot % self.ring_frames.len()];
@@ -250,10 +249,13 @@ impl Sampler {
             let hit = !buffers.depths.is_empty();
             buffers.depths.resize(n.free, 0.0);
             let empty = source.kind[i] == RingKind::Empty;
+            let clearance = source.clearance[i];
+            let least = if empty { clearance } else { clearance.min(c.epsilon as f32) };
             for (k, &t) in buffers.depths.iter().enumerate() {
                 let lane = k * RAYS + r;
                 let on = hit && ray.in_cube(t);
                 tile.t[lane] = if on { t / self.volume.edge as f32 } else { 0.0 };
+                tile.target[lane] = least;
                 tile.w_empty[lane] = if on && empty { weight * c.weights.empty as f32 } else { 0.0 };
                 tile.w_uncertain[lane] = if on && !empty { weight * c.weights.uncertain as f32 } else { 0.0 };
             }

@@ -110,11 +110,11 @@ pub(crate) struct Tile<R> {
     pub(crate) w_color: [R; RAYS],
     /// Distance along the ray, in edges of the volume.
     pub(crate) t: Vec<R>,
+    /// Distance in truncation units: what the surface loss asks for, and the least one for the other two.
     pub(crate) target: Vec<R>,
     pub(crate) w_surface: Vec<R>,
     pub(crate) w_empty: Vec<R>,
     pub(crate) w_uncertain: Vec<R>,
-    pub(crate) epsilon: R,
     /// Colour weight of each central lane; a ray's sum to 1.
     pub(crate) bell: Vec<R>,
     pub(crate) w_eikonal: Vec<R>,
@@ -137,7 +137,6 @@ impl<R: Real> Tile<R> {
             w_surface: zeros(lanes),
             w_empty: zeros(lanes),
             w_uncertain: zeros(lanes),
-            epsilon: R::ZERO,
             bell: zeros(central),
             w_eikonal: zeros(central),
             has_color: false,

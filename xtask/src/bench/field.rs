@@ -121,6 +121,7 @@ fn keyframes(count: usize) -> anyhow::Result<(Vec<Arc<FieldImages>>, Vec<Pose>)>
             color: frame.color.pixels().to_vec(),
             depth: frame.depth.pixels().to_vec(),
             mask,
+            mask_margin: 0.5,
         }));
         poses.push(video.cam_from_obj(index).inverse());
     }

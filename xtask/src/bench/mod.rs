@@ -5,6 +5,7 @@ mod marching_cubes;
 mod mask;
 mod peer;
 mod posegraph;
+mod surface;
 mod texture;
 mod tracker;
 
@@ -24,6 +25,8 @@ pub(crate) enum Part {
     Posegraph(posegraph::PosegraphArgs),
     /// The tracker: frames per second and milliseconds by stage, alone and beside the field's training.
     Tracker(tracker::TrackerArgs),
+    /// The field's surface and poses against the true ones, apart from the tracker.
+    Surface(surface::SurfaceArgs),
     /// The texture: how far its colours are from the true ones in frames that it wasn't made from.
     Texture(texture::TextureArgs),
 }
@@ -36,6 +39,7 @@ pub(crate) fn run(part: &Part) -> anyhow::Result<ExitCode> {
         Part::Mask(args) => mask::run(args),
         Part::Posegraph(args) => posegraph::run(args),
         Part::Tracker(args) => tracker::run(args),
+        Part::Surface(args) => surface::run(args),
         Part::Texture(args) => texture::run(args),
     }
 }

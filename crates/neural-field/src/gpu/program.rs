@@ -291,6 +291,8 @@ impl<'a> Recorder<'a> {
             w.eikonal as f32 * c.eikonal_every as f32 / (rays * s.central as f32),
             w.empty as f32 / ring_samples,
             w.uncertain as f32 / ring_samples,
+            c.free_distance as f32,
+            c.epsilon as f32,
         ];
         params.extend(numbers.map(f32::to_bits));
         self.add(
@@ -322,10 +324,9 @@ impl<'a> Recorder<'a> {
         self.encode(&b.encoding, n, true);
         self.linear(first, n, self.lanes(&b.encoding), self.lanes(&b.hidden), BIAS | RELU, None);
         self.linear(last.rows(0, 1), n, self.lanes(&b.hidden), self.lanes(&b.sdf), BIAS, None);
-        let epsilon = (self.plan.config().epsilon as f32).to_bits();
         self.add(
             Kernel::SdfLoss,
-            &[s.surface_rays, s.ring_rays, s.free, s.rows, epsilon],
+            &[s.surface_rays, s.ring_rays, s.free, s.rows],
             &[&b.samples, &b.sdf, &b.d_sdf, &b.ray_losses],
             Self::fold(s.rays()),
         );

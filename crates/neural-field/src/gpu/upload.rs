@@ -14,8 +14,8 @@ pub(crate) struct Upload {
     pub(crate) frames: Vec<u32>,
     /// Per frame its place in either list.
     pub(crate) slots: Vec<u32>,
-    /// Direction and distance, colour and cosine of every candidate; a ring ray's limit stands for the distance,
-    /// negative where the ray is empty.
+    /// Direction and distance, colour and cosine, depth of the object at every candidate; a ring ray's limit stands for the
+    /// distance, negative where the ray is empty, and its clearance for the depth.
     pub(crate) candidates: Vec<f32>,
     /// A mask of 64 voxels per brick of 4x4x4, in two words.
     pub(crate) occupancy: Vec<u32>,
@@ -36,21 +36,22 @@ impl Upload {
         let mut slots = vec![NOWHERE; 2 * round.frames.len()];
         for (slot, &f) in sampler.surface_frames.iter().enumerate() {
             let rays = &sampler.rays()[f].surface;
-            frames.extend([f as u32, (candidates.len() / 8) as u32, rays.dir.len() as u32, 0]);
+            frames.extend([f as u32, (candidates.len() / 12) as u32, rays.dir.len() as u32, 0]);
             slots[2 * f] = slot as u32;
             for i in 0..rays.dir.len() {
                 let ([x, y, z], [r, g, b]) = (rays.dir[i], rays.color[i]);
                 candidates.extend([x, y, z, rays.distance[i], r, g, b, rays.cosine[i]]);
+                candidates.extend([rays.depth[i], 0.0, 0.0, 0.0]);
             }
         }
         for (slot, &f) in sampler.ring_frames.iter().enumerate() {
             let rays = &sampler.rays()[f].ring;
-            frames.extend([f as u32, (candidates.len() / 8) as u32, rays.dir.len() as u32, 0]);
+            frames.extend([f as u32, (candidates.len() / 12) as u32, rays.dir.len() as u32, 0]);
             slots[2 * f + 1] = slot as u32;
             for i in 0..rays.dir.len() {
                 let [x, y, z] = rays.dir[i];
                 let limit = if rays.kind[i] == RingKind::Empty { -rays.limit[i] } else { rays.limit[i] };
-                candidates.extend([x, y, z, limit, 0.0, 0.0, 0.0, 0.0]);
+                candidates.extend([x, y, z, limit, 0.0, 0.0, 0.0, 0.0, rays.clearance[i], 0.0, 0.0, 0.0]);
             }
         }
         let poses = round.corrections.ray_poses::<f32>();

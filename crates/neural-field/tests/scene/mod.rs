@@ -120,6 +120,7 @@ pub fn view(
         color: vec![[0; 3]; n],
         depth: vec![0.0; n],
         mask: vec![0; n],
+        mask_margin: 0.5,
     };
     let o: [f64; 3] = obj_from_cam.translation.vector.into();
     for i in 0..n {
