@@ -13,6 +13,9 @@ pub(crate) const FEATURES: usize = 2;
 /// Vertices of one lattice in memory; a multiple of it is allocated, and Adam updates whole groups.
 pub(crate) const GROUP: usize = 8;
 
+/// Features of a vector of points, and their derivatives along the axes.
+type Encoded<V> = ([V; FEATURES], [[V; 3]; FEATURES]);
+
 /// One lattice over the unit cube.
 #[derive(Clone, Debug)]
 pub(crate) struct Level {
@@ -174,15 +177,14 @@ impl Level {
         rows
     }
 
-    /// Encodes a vector of points. `out` has, for each of them, its features and if `SLOPES` their derivatives by
-    /// position in the unit cube, `[feature, feature's slope by x, y, z]`.
+    /// Encodes a vector of points: features, and if `SLOPES` their derivatives by position in the unit cube.
     #[inline(always)]
     fn interpolate<R: Real, I: Isa, const SLOPES: bool>(
         &self,
         table: &[R],
         cells: &Cells<R>,
         first: usize,
-    ) -> ([R::V<I>; FEATURES], [[R::V<I>; 3]; FEATURES]) {
+    ) -> Encoded<R::V<I>> {
         let zero = <R::V<I>>::splat(R::ZERO);
         let (mut values, mut slopes) = ([zero; 4], [zero; 4]);
         let fx = <R::V<I>>::load(&cells.frac[0], first);
