@@ -1,18 +1,20 @@
 //! Where the time of a training step goes, and what the machine could do at best (feature `bench`).
 
-use crate::adam::{self, Rate};
+use crate::adam::{Rate, Update};
+use crate::clock::thread_seconds;
 use crate::config::FieldConfig;
 use crate::engine::CpuEngine;
 use crate::error::FieldError;
 use crate::frame::FieldImages;
-use crate::grid::{FEATURES, Grid};
-use crate::pass::layer_forward;
+use crate::grid::FEATURES;
+use crate::lanes::Lanes;
+use crate::pass::{RunTile, encode, hidden_layer};
 use crate::pose::PoseCorrections;
-use crate::real::Real;
+use crate::real::{self, Isa};
 use crate::round::Round;
 use crate::sampler::{Buffers, Sampler};
-use crate::simd;
-use crate::tile::{Model, RayPose, Scratch, Tile, TileGradient};
+use crate::simd::Set;
+use crate::tile::{Model, Panel, RayPose, Scratch, Tile, TileGradient};
 use nalgebra::Isometry3;
 use std::sync::Arc;
 use std::time::Instant;
@@ -121,7 +123,7 @@ impl Work {
                 all * 2.0 * (e * h + h),
                 central * (2.0 * f * h + 6.0 * layers),
                 all * 4.0 * (e * h + h) + central * 4.0 * f * h,
-                eikonal * 6.0 * e * h,
+                eikonal * 4.0 * e * h,
                 0.0,
                 0.0,
             ],
@@ -130,21 +132,26 @@ impl Work {
     }
 }
 
-/// Most multiply-adds that `threads` threads do, in operations per second (two a multiply-add), measured.
+/// The instruction set that the kernels use on this machine.
+pub fn instruction_set() -> &'static str {
+    Set::best().name()
+}
+
+/// Most multiply-adds that `threads` threads do with the instruction set of the kernels, in operations per second (two
+/// a multiply-add) of processor time.
 pub fn peak_flops(threads: usize) -> f64 {
-    const ROUNDS: usize = 4_000_000;
+    const ROUNDS: usize = 2_000_000;
+    let loops = || {
+        let mut count = 0;
+        let start = thread_seconds();
+        Set::best().call(MultiplyAdd { rounds: ROUNDS, count: &mut count });
+        2.0 * count as f64 / (thread_seconds() - start)
+    };
     let best = (0..3).map(|_| {
-        let start = Instant::now();
         std::thread::scope(|scope| {
-            for _ in 0..threads {
-                scope.spawn(|| {
-                    let mut sums = [[1.0f32; 8]; 12];
-                    simd::multiply_add(&mut sums, ROUNDS);
-                    std::hint::black_box(sums);
-                });
-            }
-        });
-        (threads * ROUNDS * 12 * 8 * 2) as f64 / start.elapsed().as_secs_f64()
+            let workers: Vec<_> = (0..threads).map(|_| scope.spawn(loops)).collect();
+            workers.into_iter().filter_map(|w| w.join().ok()).sum()
+        })
     });
     best.fold(0.0, f64::max)
 }
@@ -168,29 +175,51 @@ pub fn peak_bytes(threads: usize) -> f64 {
     best.fold(0.0, f64::max)
 }
 
-#[inline(always)]
-pub(crate) fn multiply_add<const FMA: bool>(sums: &mut [[f32; 8]; 12], rounds: usize) {
-    let (factor, add) = (std::hint::black_box(0.999f32), std::hint::black_box(0.001f32));
-    let mut local = *sums;
-    for _ in 0..rounds {
-        for sum in &mut local {
-            for v in sum {
-                *v = v.madd::<FMA>(factor, add);
+/// Independent multiply-adds on twelve registers, `rounds` times each; adds their number to `count`.
+struct MultiplyAdd<'a> {
+    rounds: usize,
+    count: &'a mut usize,
+}
+
+impl real::Kernel for MultiplyAdd<'_> {
+    #[inline(always)]
+    fn run<I: Isa>(self) {
+        const SUMS: usize = 12;
+        let factor = I::F32::splat(std::hint::black_box(0.999));
+        let add = I::F32::splat(std::hint::black_box(0.001));
+        let mut sums = [add; SUMS];
+        for _ in 0..self.rounds {
+            for sum in &mut sums {
+                *sum = sum.madd(factor, add);
+            }
+        }
+        for sum in sums {
+            std::hint::black_box(sum.total());
+        }
+        *self.count += self.rounds * SUMS * I::F32::N;
+    }
+}
+
+/// A part of a tile's forward pass.
+struct Forward<'a> {
+    model: &'a Model<'a, f32>,
+    lanes: usize,
+    central: usize,
+    /// With these the encoding, without the hidden layer.
+    pos: Option<&'a [f32]>,
+    scratch: &'a mut Scratch<f32>,
+}
+
+impl real::Kernel for Forward<'_> {
+    #[inline(always)]
+    fn run<I: Isa>(self) {
+        for panel in Panel::all(self.lanes, self.central) {
+            match self.pos {
+                Some(pos) => encode::<f32, I, true>(self.model, (pos, self.lanes), panel, self.scratch),
+                None => hidden_layer::<f32, I>(self.model, panel, self.scratch),
             }
         }
     }
-    *sums = local;
-}
-
-#[inline(always)]
-pub(crate) fn encode(grid: &Grid<f32>, lanes: usize, pos: &[f32], s: &mut Scratch<f32>) {
-    grid.encode(pos, lanes, &mut s.enc, &mut s.jac);
-}
-
-#[inline(always)]
-pub(crate) fn layer<const FMA: bool>(model: &Model<'_, f32>, lanes: usize, s: &mut Scratch<f32>) {
-    let first = &model.networks.geometry[0];
-    layer_forward::<f32, FMA>(first, model.weights, (&s.enc, lanes), (&mut s.hidden, lanes), true);
 }
 
 /// The kernels of a step one by one, for micro-benchmarks.
@@ -204,7 +233,7 @@ pub struct Kernels {
     out: TileGradient<f32>,
     buffers: Buffers,
     weights: Vec<f32>,
-    moments: Vec<[f32; 2]>,
+    moments: [Vec<f32>; 2],
     step: usize,
 }
 
@@ -227,7 +256,7 @@ impl Kernels {
             out: TileGradient::new(lanes, central, &engine.networks),
             buffers: Buffers::default(),
             weights: vec![0.0; engine.networks.len],
-            moments: vec![[0.0; 2]; engine.networks.len],
+            moments: [vec![0.0; engine.networks.len], vec![0.0; engine.networks.len]],
             sampler,
             engine,
             step: 0,
@@ -250,30 +279,37 @@ impl Kernels {
 
     /// Encodes the tile's samples.
     pub fn encode(&mut self) {
-        simd::encode(&self.engine.grid, self.tile.lanes, &self.out.pos, &mut self.scratch);
+        self.forward(true);
     }
 
     /// The hidden layer of the geometry network.
     pub fn layer(&mut self) {
-        let engine = &self.engine;
-        simd::layer(&engine.model(), self.tile.lanes, &mut self.scratch);
+        self.forward(false);
+    }
+
+    fn forward(&mut self, encode: bool) {
+        let Self { engine, tile, out, scratch, .. } = self;
+        let model = &engine.model();
+        Set::best().call(Forward {
+            model,
+            lanes: tile.lanes,
+            central: tile.central,
+            pos: encode.then_some(&out.pos),
+            scratch,
+        });
     }
 
     /// The whole tile, forward and backward.
     pub fn tile(&mut self) {
-        let engine = &self.engine;
-        simd::run_tile(
-            &engine.model(),
-            &self.poses,
-            &self.tile,
-            &mut self.scratch,
-            &mut self.out,
-            &mut self.weights,
-        );
+        let Self { engine, poses, tile, scratch, out, weights, .. } = self;
+        let model = &engine.model();
+        Set::best().call(RunTile { model, poses, tile, scratch, out, grad: weights });
     }
 
     /// Adam on the networks.
     pub fn adam(&mut self) {
-        adam::update(Rate::new(1e-3, 1), &mut self.engine.weights, &mut self.weights, &mut self.moments);
+        let [mean, square] = &mut self.moments;
+        let (value, grad) = (&mut self.engine.weights, &mut self.weights);
+        Set::best().call(Update { rate: Rate::new(1e-3, 1), value, grad, mean, square });
     }
 }

@@ -21,7 +21,7 @@ pub(crate) const STAGES: usize = 8;
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Clock {
     #[cfg(feature = "bench")]
-    last: Option<std::time::Instant>,
+    last: Option<f64>,
     #[cfg(feature = "bench")]
     seconds: [f64; STAGES],
 }
@@ -29,19 +29,34 @@ pub(crate) struct Clock {
 #[cfg(feature = "bench")]
 impl Clock {
     pub(crate) fn start(&mut self) {
-        self.last = Some(std::time::Instant::now());
+        self.last = Some(thread_seconds());
     }
 
     /// The time since the last call belongs to `stage`.
     pub(crate) fn lap(&mut self, stage: Stage) {
-        let now = std::time::Instant::now();
+        let now = thread_seconds();
         if let Some(last) = self.last.replace(now) {
-            self.seconds[stage as usize] += (now - last).as_secs_f64();
+            self.seconds[stage as usize] += now - last;
         }
     }
 
     pub(crate) fn seconds(&self) -> [f64; STAGES] {
         self.seconds
+    }
+}
+
+/// Processor time of this thread, seconds; elsewhere than on Unix the time of day.
+#[cfg(feature = "bench")]
+pub(crate) fn thread_seconds() -> f64 {
+    #[cfg(unix)]
+    {
+        let t = rustix::time::clock_gettime(rustix::time::ClockId::ThreadCPUTime);
+        t.tv_sec as f64 + 1e-9 * t.tv_nsec as f64
+    }
+    #[cfg(not(unix))]
+    {
+        static START: std::sync::OnceLock<std::time::Instant> = std::sync::OnceLock::new();
+        START.get_or_init(std::time::Instant::now).elapsed().as_secs_f64()
     }
 }
 

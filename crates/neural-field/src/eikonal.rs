@@ -1,97 +1,167 @@
 //! The eikonal term on a tile's central lanes, with exact second derivatives.
 
-use crate::gemm::{gemm_add, sum, transpose};
+use crate::gemm::{Add, Columns, Rows, Store, product, to_rows};
 use crate::grid::FEATURES;
-use crate::pass::mask;
-use crate::real::Real;
-use crate::tile::{Model, Scratch, Tile, TileGradient, loss};
+use crate::lanes::Lanes;
+use crate::pass::through_jacobian;
+use crate::real::{Isa, Real};
+use crate::tile::{Model, PANEL, Panel, Scratch, Tile, TileGradient, VECTOR, loss};
 
 /// `w (|grad s| - 1)^2` on the central lanes, with its exact gradient.
 ///
-/// The slope of the distance is `g_i = sum_f v_f de_f/dp_i` with `v = W1^T (mask w2)`. With `gamma = dL/dg`, the
-/// gradient by `v` is the derivative `q` of the encoding along `gamma`, that by `de_f/dp_i` is `v_f gamma_i`: one
-/// forward and one backward product, not three, and no second derivative of the ReLU.
+/// The slope of the distance is `g_i = sum_f v_f de_f/dp_i` with `v = W1^T (m w2)`, m the active units. With
+/// `gamma = dL/dg`, the gradient by `v` is the derivative `q` of the encoding along `gamma`, that by `de_f/dp_i` is
+/// `v_f gamma_i`. What both layers' gradients need of all samples is `Q = sum m q^T`; see [`finish`].
 #[inline(always)]
-pub(crate) fn eikonal_pass<R: Real, const FMA: bool>(
+pub(crate) fn eikonal_pass<R: Real, I: Isa>(
     model: &Model<'_, R>,
     tile: &Tile<R>,
     s: &mut Scratch<R>,
     out: &mut TileGradient<R>,
     grad: &mut [R],
 ) {
-    let (n, lanes, central) = (model.networks, tile.lanes, tile.central);
-    let from = lanes - central;
-    let [first, last] = n.geometry;
-    let (h, e, width) = (first.outputs, first.inputs, model.grid.width());
-    let w1 = &model.weights[first.weights()];
-    let w2 = &model.weights[last.weights()][..h];
-    for (j, row) in s.masked.chunks_exact_mut(central).take(h).enumerate() {
-        for (m, y) in row.iter_mut().zip(&s.hidden[j * lanes + from..][..central]) {
-            *m = y.gate(w2[j]);
-        }
+    let (n, from) = (model.networks, tile.lanes - tile.central);
+    let (h, e) = (n.hidden(), n.encoding());
+    slope_weights(model, &mut s.slope_weights);
+    for panel in Panel::central(tile.lanes, tile.central) {
+        slope_factors::<R, I>(model, panel, s, (&mut out.v[panel.start - from..], tile.central));
+        along_slope::<R, I>(model, tile, panel, s, out);
+        product::<R, I>(
+            (h, e, panel.width),
+            Rows::<R, PANEL>(&s.panel.active),
+            (&s.panel.rows, e),
+            &mut Add { c: &mut s.sums.eikonal, ld: e },
+        );
     }
-    out.v.fill(R::ZERO);
-    gemm_add::<R, FMA, true>((e, central, h), (w1, e), (&s.masked, central), (&mut out.v, central));
+    finish(model, &s.sums.eikonal, grad);
+    eikonal_position::<R, I>(model, tile, s, out);
+}
 
-    s.q.fill(R::ZERO);
-    for l in 0..central {
-        let slope: [R; 3] = std::array::from_fn(|a| {
-            (0..width)
-                .fold(R::ZERO, |acc, f| acc + out.v[f * central + l] * s.jac[(f * 3 + a) * lanes + from + l])
-        });
-        let norm = (slope[0] * slope[0] + slope[1] * slope[1] + slope[2] * slope[2]).sqrt();
-        let k = model.truncation;
-        let error = k * norm - R::ONE;
-        out.losses[loss::EIKONAL] += tile.w_eikonal[l] * error * error;
-        let scale = if norm > R::ZERO { R::of(2.0) * tile.w_eikonal[l] * error * k / norm } else { R::ZERO };
-        for a in 0..3 {
-            out.gamma[a * central + l] = scale * slope[a];
-        }
-        for f in 0..width {
-            s.q[f * central + l] =
-                (0..3).fold(R::ZERO, |acc, a| acc + scale * slope[a] * s.jac[(f * 3 + a) * lanes + from + l]);
+/// The first layer with its units' weights in the distance: `w2[unit] * W1[unit][encoding]`.
+#[inline(always)]
+pub(crate) fn slope_weights<R: Real>(model: &Model<'_, R>, to: &mut [R]) {
+    let [first, last] = model.networks.geometry;
+    let rows = model.weights[first.weights()].chunks_exact(first.inputs);
+    for ((to, row), w2) in to.chunks_exact_mut(first.inputs).zip(rows).zip(&model.weights[last.weights()]) {
+        for (to, w1) in to.iter_mut().zip(row) {
+            *to = *w2 * *w1;
         }
     }
-    transpose(&s.q, central, e, central, &mut s.transposed);
-    gemm_add::<R, FMA, false>(
-        (h, e, central),
-        (&s.masked, central),
-        (&s.transposed, e),
-        (&mut grad[first.weights()], e),
+}
+
+/// Gradient of a panel's distances by their encoding, to `v[feature * stride + lane]`, and the active units;
+/// [`slope_weights`] must have run.
+#[inline(always)]
+pub(crate) fn slope_factors<R: Real, I: Isa>(
+    model: &Model<'_, R>,
+    panel: Panel,
+    s: &mut Scratch<R>,
+    (v, stride): (&mut [R], usize),
+) {
+    let (h, e) = (model.networks.hidden(), model.networks.encoding());
+    for (m, y) in s.panel.active.iter_mut().zip(&s.hidden[panel.of(h)]) {
+        *m = y.gate(R::ONE);
+    }
+    product::<R, I>(
+        (e, panel.width, h),
+        Columns(&s.slope_weights, e),
+        (&s.panel.active, PANEL),
+        &mut Store { c: v, ld: stride },
     );
-    // u = W1 q, of which the active units belong to w2's gradient.
-    s.d_hidden[..h * central].fill(R::ZERO);
-    gemm_add::<R, FMA, false>((h, central, e), (w1, e), (&s.q, central), (&mut s.d_hidden, central));
-    let g2 = &mut grad[last.weights()][..h];
-    for (j, u) in s.d_hidden.chunks_exact_mut(central).take(h).enumerate() {
-        let active = &s.hidden[j * lanes + from..][..central];
-        mask(u, active);
-        g2[j] += sum(u);
+}
+
+/// Losses of a panel, their gradient by the slopes, and the encoding's derivative along that.
+#[inline(always)]
+fn along_slope<R: Real, I: Isa>(
+    model: &Model<'_, R>,
+    tile: &Tile<R>,
+    panel: Panel,
+    s: &mut Scratch<R>,
+    out: &mut TileGradient<R>,
+) {
+    let (e, features, width) = (model.networks.encoding(), model.grid.width(), panel.width);
+    let (central, at) = (tile.central, panel.start + tile.central - tile.lanes);
+    let jac = &s.jac[panel.of(3 * e)];
+    let gamma = &mut s.panel.slope;
+    through_jacobian::<R, I>((jac, width), features, (&out.v[at..], central), (gamma, PANEL));
+    let k = <R::V<I>>::splat(model.truncation);
+    let [zero, one, two] = [0.0, 1.0, 2.0].map(|v| <R::V<I>>::splat(R::of(v)));
+    let mut total = zero;
+    for start in (0..width).step_by(<R::V<I>>::N) {
+        let w = <R::V<I>>::load(&tile.w_eikonal, at + start);
+        let (x, y) = (<R::V<I>>::load(gamma, start), <R::V<I>>::load(gamma, PANEL + start));
+        let z = <R::V<I>>::load(gamma, 2 * PANEL + start);
+        let square = x.mul(x).add(y.mul(y)).add(z.mul(z));
+        let norm = square.sqrt();
+        let error = k.mul(norm).sub(one);
+        total = w.mul(error).madd(error, total);
+        // Zero where there is no slope.
+        let scale = square.gate(two.mul(w).mul(error).mul(k).div(norm));
+        for (a, slope) in [x, y, z].into_iter().enumerate() {
+            let g = scale.mul(slope);
+            g.store(gamma, a * PANEL + start);
+            g.store(&mut out.gamma, a * central + at + start);
+        }
+        for f in 0..features {
+            let mut q = zero;
+            for a in 0..3 {
+                let g = <R::V<I>>::load(gamma, a * PANEL + start);
+                q = g.madd(<R::V<I>>::load(jac, (f * 3 + a) * PANEL + start), q);
+            }
+            q.store(&mut s.panel.columns, f * PANEL + start);
+        }
     }
-    eikonal_position(model, tile, s, out);
+    out.losses[loss::EIKONAL] += total.total();
+    // What is beside the features must be zero.
+    s.panel.columns[features * PANEL..].fill(R::ZERO);
+    to_rows::<R, I>((&s.panel.columns, PANEL), (e, width), (&mut s.panel.rows, e));
+}
+
+/// Weight gradients from `Q[unit][encoding]`: `w2 Q` row by row for W1, for w2 the products of the rows of W1 and Q.
+#[inline(always)]
+fn finish<R: Real>(model: &Model<'_, R>, sums: &[R], grad: &mut [R]) {
+    let [first, last] = model.networks.geometry;
+    let e = first.inputs;
+    let (w1, w2) = (&model.weights[first.weights()], &model.weights[last.weights()]);
+    for (j, q) in sums.chunks_exact(e).enumerate() {
+        let row = e * j..e * (j + 1);
+        for (g, q) in grad[first.weights()][row.clone()].iter_mut().zip(q) {
+            *g += w2[j] * *q;
+        }
+        grad[last.weights()][j] += w1[row].iter().zip(q).fold(R::ZERO, |sum, (w, q)| sum + *w * *q);
+    }
 }
 
 /// The eikonal term's gradient by position: mixed second derivatives of the trilinear encoding.
 #[inline(always)]
-fn eikonal_position<R: Real>(
+fn eikonal_position<R: Real, I: Isa>(
     model: &Model<'_, R>,
     tile: &Tile<R>,
     s: &mut Scratch<R>,
     out: &TileGradient<R>,
 ) {
     let (lanes, central) = (tile.lanes, tile.central);
-    for (l, (level, table)) in model.grid.levels.iter().zip(&model.grid.tables).enumerate() {
-        for c in 0..central {
-            let lane = lanes - central + c;
-            let p = [0, 1, 2].map(|a| out.pos[a * lanes + lane]);
-            let g = [0, 1, 2].map(|a| out.gamma[a * central + c]);
-            let mixed = level.mixed(table, p);
-            for f in 0..FEATURES {
-                let v = out.v[(FEATURES * l + f) * central + c];
-                let [xy, xz, yz] = mixed[f];
-                s.d_pos[lane] += v * (g[1] * xy + g[2] * xz);
-                s.d_pos[lanes + lane] += v * (g[0] * xy + g[2] * yz);
-                s.d_pos[2 * lanes + lane] += v * (g[0] * xz + g[1] * yz);
+    let mut mixed = [R::ZERO; 3 * FEATURES * VECTOR];
+    for start in (0..central).step_by(VECTOR) {
+        let lane = lanes - central + start;
+        for (l, (level, table)) in model.grid.levels.iter().zip(&model.grid.tables).enumerate() {
+            level.mixed::<R, I>(table, &level.locate::<R, I>(&out.pos, lanes, lane), &mut mixed);
+            for p in (0..VECTOR).step_by(<R::V<I>>::N) {
+                let gx = <R::V<I>>::load(&out.gamma, start + p);
+                let gy = <R::V<I>>::load(&out.gamma, central + start + p);
+                let gz = <R::V<I>>::load(&out.gamma, 2 * central + start + p);
+                for f in 0..FEATURES {
+                    let v = <R::V<I>>::load(&out.v, (FEATURES * l + f) * central + start + p);
+                    let xy = <R::V<I>>::load(&mixed, 3 * f * VECTOR + p);
+                    let xz = <R::V<I>>::load(&mixed, (3 * f + 1) * VECTOR + p);
+                    let yz = <R::V<I>>::load(&mixed, (3 * f + 2) * VECTOR + p);
+                    let add =
+                        [gy.mul(xy).add(gz.mul(xz)), gx.mul(xy).add(gz.mul(yz)), gx.mul(xz).add(gy.mul(yz))];
+                    for (a, add) in add.into_iter().enumerate() {
+                        let at = a * lanes + lane + p;
+                        v.madd(add, <R::V<I>>::load(&s.d_pos, at)).store(&mut s.d_pos, at);
+                    }
+                }
             }
         }
     }

@@ -4,16 +4,19 @@
 //! The chunks' gradients are added in order. Then every lattice of the grid scatters its gradients and updates
 //! itself, one task per lattice, so that no two threads write the same vertex and no sum depends on timing.
 
-use crate::adam::{LevelState, Rate};
+use crate::adam::{PartState, Rate, Update};
 use crate::clock::Stage;
 use crate::config::FieldConfig;
 use crate::field::Parameters;
-use crate::grid::{FEATURES, Grid};
+use crate::grid::Grid;
 use crate::mlp::Networks;
+use crate::pass::RunTile;
 use crate::pose::PoseCorrections;
+use crate::query::Query;
 use crate::sampler::{Buffers, Sampler};
-use crate::simd;
-use crate::tile::{Model, RAYS, RayPose, Scratch, Tile, TileGradient, loss};
+use crate::scatter::Scatter;
+use crate::simd::Set;
+use crate::tile::{Aligned, Model, RAYS, RayPose, Scratch, Tile, TileGradient, loss};
 use nalgebra::Vector6;
 use rayon::prelude::*;
 
@@ -47,7 +50,7 @@ struct Chunk {
     scratch: Scratch<f32>,
     buffers: Buffers,
     gradients: Vec<TileGradient<f32>>,
-    weights: Vec<f32>,
+    weights: Aligned<f32>,
 }
 
 /// State of a round on the CPU.
@@ -55,16 +58,22 @@ struct Chunk {
 pub(crate) struct CpuEngine {
     pub(crate) grid: Grid<f32>,
     pub(crate) networks: Networks,
-    pub(crate) weights: Vec<f32>,
-    moments: Vec<[f32; 2]>,
-    levels: Vec<LevelState>,
+    pub(crate) weights: Aligned<f32>,
+    /// Transposes of some of the weights.
+    flipped: Aligned<f32>,
+    /// Means of the weights' gradient and of its square.
+    moments: [Vec<f32>; 2],
+    /// Finest lattice first: it takes longest.
+    parts: Vec<PartState>,
     chunks: Vec<Chunk>,
     truncation: f32,
+    set: Set,
 }
 
 impl CpuEngine {
     pub(crate) fn new(config: &FieldConfig, sampler: &Sampler) -> Self {
-        let Parameters { grid, networks, weights } = initial_parameters(config, sampler.rays().len());
+        let Parameters { grid, networks, weights: initial } =
+            initial_parameters(config, sampler.rays().len());
         let n = sampler.counts;
         let (lanes, central) = (n.surface_lanes(), n.central_lanes());
         let share = |tiles: usize, c: usize| c * tiles / CHUNKS..(c + 1) * tiles / CHUNKS;
@@ -84,27 +93,35 @@ impl CpuEngine {
                     scratch: Scratch::new(lanes, central, &networks),
                     buffers: Buffers::default(),
                     gradients,
-                    weights: vec![0.0; networks.len],
+                    weights: Aligned::zeros(networks.len),
                 }
             })
             .collect();
+        let mut weights = Aligned::zeros(networks.len);
+        weights.copy_from_slice(&initial);
+        let flipped = networks.flip_all(&weights);
+        let parts = grid.levels.iter().enumerate().rev();
         Self {
-            levels: grid.levels.iter().map(|l| LevelState::new(l.len)).collect(),
+            parts: parts
+                .flat_map(|(l, level)| level.parts().map(move |vertices| PartState::new(l, vertices)))
+                .collect(),
+            moments: [vec![0.0; networks.len], vec![0.0; networks.len]],
             weights,
-            moments: vec![[0.0; 2]; networks.len],
+            flipped,
             grid,
             networks,
             chunks,
             truncation: (config.truncation / sampler.volume().edge) as f32,
+            set: Set::best(),
         }
     }
 
     pub(crate) fn parameters(&self) -> Parameters {
-        Parameters { grid: self.grid.clone(), networks: self.networks, weights: self.weights.clone() }
+        Parameters { grid: self.grid.clone(), networks: self.networks, weights: self.weights.to_vec() }
     }
 
     pub(crate) fn into_parameters(self) -> Parameters {
-        Parameters { grid: self.grid, networks: self.networks, weights: self.weights }
+        Parameters { grid: self.grid, networks: self.networks, weights: self.weights.to_vec() }
     }
 
     /// One step: samples, gradients, updates. Returns the weighted losses; poses are updated in place.
@@ -116,13 +133,11 @@ impl CpuEngine {
         (rate, pose_rate): (f64, f64),
     ) -> [f64; loss::COUNT] {
         let ray_poses = poses.ray_poses::<f32>();
-        let model = Model {
-            grid: &self.grid,
-            networks: &self.networks,
-            weights: &self.weights,
-            truncation: self.truncation,
-        };
-        self.chunks.par_iter_mut().for_each(|chunk| chunk.run(&model, sampler, &ray_poses, step));
+        let set = self.set;
+        let mut chunks = std::mem::take(&mut self.chunks);
+        let model = self.model();
+        chunks.par_iter_mut().for_each(|chunk| chunk.run(set, &model, sampler, &ray_poses, step));
+        self.chunks = chunks;
 
         let iteration = step + 1;
         let losses = self.update_poses(poses, pose_rate, iteration);
@@ -130,24 +145,22 @@ impl CpuEngine {
         let (first, others) = self.chunks.split_at_mut(1);
         let total = &mut first[0].weights;
         for chunk in others {
-            for (t, g) in total.iter_mut().zip(&mut chunk.weights) {
+            for (t, g) in total.iter_mut().zip(chunk.weights.iter_mut()) {
                 *t += std::mem::take(g);
             }
         }
-        simd::adam(rate, &mut self.weights, total, &mut self.moments);
+        let [mean, square] = &mut self.moments;
+        set.call(Update { rate, value: &mut self.weights, grad: total, mean, square });
+        self.networks.flip(&self.weights, &mut self.flipped);
 
         let chunks = &self.chunks;
-        let layout = &self.grid.levels;
-        // Finest lattice first: it takes longest.
-        self.grid.tables.par_iter_mut().zip(&mut self.levels).enumerate().rev().for_each(
-            |(l, (table, state))| {
-                state.clock.start();
-                for tile in chunks.iter().flat_map(|c| &c.gradients) {
-                    scatter_tile(&layout[l], l, tile, state);
-                }
-                state.step(rate, table);
-            },
-        );
+        self.grid.shares(&mut self.parts).into_par_iter().for_each(|(level, part, table)| {
+            part.clock.start();
+            for tile in chunks.iter().flat_map(|c| &c.gradients) {
+                set.call(Scatter { level, l: part.level, tile, to: &mut part.vertices() });
+            }
+            part.step(set, rate, table);
+        });
         losses
     }
 
@@ -156,6 +169,7 @@ impl CpuEngine {
             grid: &self.grid,
             networks: &self.networks,
             weights: &self.weights,
+            flipped: &self.flipped,
             truncation: self.truncation,
         }
     }
@@ -187,7 +201,12 @@ impl CpuEngine {
                             pos[a * LANES + l] = (0.5 + pose.translation[a] + t * along).clamp(0.0, 1.0);
                         }
                     }
-                    simd::query(&model, LANES, &pos, &mut scratch, false);
+                    self.set.call(Query::<f32, false> {
+                        model: &model,
+                        lanes: LANES,
+                        pos: &pos,
+                        scratch: &mut scratch,
+                    });
                     errors.extend(scratch.distances()[..count].iter().map(|s| s.abs()));
                 }
                 if errors.is_empty() {
@@ -221,7 +240,7 @@ impl CpuEngine {
 impl CpuEngine {
     /// Seconds of all workers by stage, so far.
     pub(crate) fn seconds(&self) -> [f64; crate::clock::STAGES] {
-        let clocks = self.chunks.iter().map(|c| &c.scratch.clock).chain(self.levels.iter().map(|l| &l.clock));
+        let clocks = self.chunks.iter().map(|c| &c.scratch.clock).chain(self.parts.iter().map(|p| &p.clock));
         clocks.fold(Default::default(), |sum: [f64; crate::clock::STAGES], clock| {
             let seconds = clock.seconds();
             std::array::from_fn(|s| sum[s] + seconds[s])
@@ -230,44 +249,29 @@ impl CpuEngine {
 }
 
 impl Chunk {
-    fn run(&mut self, model: &Model<'_, f32>, sampler: &Sampler, poses: &[RayPose<f32>], step: usize) {
-        let mut outs = self.gradients.iter_mut();
-        for index in self.surface.clone() {
+    fn run(
+        &mut self,
+        set: Set,
+        model: &Model<'_, f32>,
+        sampler: &Sampler,
+        poses: &[RayPose<f32>],
+        step: usize,
+    ) {
+        let Self { surface, ring, surface_tile, ring_tile, scratch, buffers, gradients, weights } = self;
+        let mut outs = gradients.iter_mut();
+        for index in surface.clone() {
             let Some(out) = outs.next() else { return };
-            self.scratch.clock.start();
-            sampler.fill_surface((step, index), poses, &mut self.surface_tile, &mut self.buffers);
-            self.scratch.clock.lap(Stage::Sample);
-            simd::run_tile(model, poses, &self.surface_tile, &mut self.scratch, out, &mut self.weights);
+            scratch.clock.start();
+            sampler.fill_surface((step, index), poses, surface_tile, buffers);
+            scratch.clock.lap(Stage::Sample);
+            set.call(RunTile { model, poses, tile: surface_tile, scratch, out, grad: weights });
         }
-        for index in self.ring.clone() {
+        for index in ring.clone() {
             let Some(out) = outs.next() else { return };
-            self.scratch.clock.start();
-            sampler.fill_ring((step, index), poses, &mut self.ring_tile, &mut self.buffers);
-            self.scratch.clock.lap(Stage::Sample);
-            simd::run_tile(model, poses, &self.ring_tile, &mut self.scratch, out, &mut self.weights);
+            scratch.clock.start();
+            sampler.fill_ring((step, index), poses, ring_tile, buffers);
+            scratch.clock.lap(Stage::Sample);
+            set.call(RunTile { model, poses, tile: ring_tile, scratch, out, grad: weights });
         }
-    }
-}
-
-/// Adds a tile's encoding gradients to lattice `l`.
-pub(crate) fn scatter_tile(
-    level: &crate::grid::Level,
-    l: usize,
-    tile: &TileGradient<f32>,
-    state: &mut LevelState,
-) {
-    let (n, from) = (tile.lanes, tile.lanes - tile.central);
-    let row = FEATURES * l;
-    for lane in 0..n {
-        let value = [tile.enc[row * n + lane], tile.enc[(row + 1) * n + lane]];
-        let slope = (tile.has_eikonal && lane >= from).then(|| {
-            let (c, m) = (lane - from, tile.central);
-            ([0, 1, 2].map(|a| tile.gamma[a * m + c]), [tile.v[row * m + c], tile.v[(row + 1) * m + c]])
-        });
-        if value == [0.0; 2] && slope.is_none() {
-            continue;
-        }
-        let p = [tile.pos[lane], tile.pos[n + lane], tile.pos[2 * n + lane]];
-        level.scatter(p, value, slope, &mut state.grad, &mut state.touched);
     }
 }

@@ -4,10 +4,11 @@ use crate::config::FieldConfig;
 use crate::frame::FieldImages;
 use crate::grid::Grid;
 use crate::mlp::Networks;
+use crate::query::{Query, QueryColor};
 use crate::rays::FrameRays;
 use crate::round::Round;
-use crate::simd;
-use crate::tile::{Model, Scratch};
+use crate::simd::Set;
+use crate::tile::{Aligned, Model, Scratch};
 use crate::train::StepLosses;
 use crate::volume::occupancy;
 use nalgebra::{Isometry3, Point3, Vector3};
@@ -44,6 +45,8 @@ pub struct TrainedField {
     grid: Grid<f32>,
     networks: Networks,
     weights: Vec<f32>,
+    /// Transposes of some of the weights.
+    flipped: Aligned<f32>,
     truncation: f64,
     center: [f64; 3],
     edge: f64,
@@ -72,10 +75,12 @@ impl TrainedField {
         let support = support(config, &octree, frames, &poses);
         let mut weights = parameters.weights;
         parameters.networks.codes.settle(&mut weights);
+        let flipped = parameters.networks.flip_all(&weights);
         let mut field = Self {
             grid: parameters.grid,
             networks: parameters.networks,
             weights,
+            flipped,
             truncation: config.truncation,
             residuals: Vec::new(),
             losses,
@@ -153,6 +158,7 @@ impl TrainedField {
             grid: &self.grid,
             networks: &self.networks,
             weights: &self.weights,
+            flipped: &self.flipped,
             truncation: (self.truncation / self.edge) as f32,
         }
     }
@@ -195,14 +201,20 @@ impl TrainedField {
     }
 
     fn evaluate_task(&self, points: &[[f32; 3]], sdf: &mut [f32], mut gradient: Option<&mut [[f32; 3]]>) {
-        let model = self.model();
+        let (set, model) = (Set::best(), self.model());
         let mut scratch = Scratch::new(BLOCK, BLOCK, &self.networks);
         let mut pos = vec![0.0; 3 * BLOCK];
         let metres = self.truncation as f32;
         for start in (0..points.len()).step_by(BLOCK) {
             let block = &points[start..points.len().min(start + BLOCK)];
             self.place_block(block, &mut pos);
-            simd::query(&model, BLOCK, &pos, &mut scratch, gradient.is_some());
+            if gradient.is_some() {
+                let (model, pos, scratch) = (&model, &pos, &mut scratch);
+                set.call(Query::<f32, true> { model, lanes: BLOCK, pos, scratch });
+            } else {
+                let (model, pos, scratch) = (&model, &pos, &mut scratch);
+                set.call(Query::<f32, false> { model, lanes: BLOCK, pos, scratch });
+            }
             for (l, p) in block.iter().enumerate() {
                 sdf[start + l] = self.known(*p, metres * scratch.distances()[l]);
                 if let Some(g) = gradient.as_deref_mut() {
@@ -225,21 +237,21 @@ impl TrainedField {
     }
 
     fn color_task(&self, points: &[[f32; 3]], dirs: &[[f32; 3]], out: &mut [[f32; 3]]) {
-        let model = self.model();
+        let (set, model) = (Set::best(), self.model());
         let mut scratch = Scratch::new(BLOCK, BLOCK, &self.networks);
         let mut pos = vec![0.0; 3 * BLOCK];
         let mut views = [[0.0; 3]; BLOCK];
         for start in (0..points.len()).step_by(BLOCK) {
             let end = points.len().min(start + BLOCK);
             self.place_block(&points[start..end], &mut pos);
-            simd::query(&model, BLOCK, &pos, &mut scratch, false);
+            let (model, scratch) = (&model, &mut scratch);
+            set.call(Query::<f32, false> { model, lanes: BLOCK, pos: &pos, scratch });
             for (view, d) in views.iter_mut().zip(&dirs[start..end]) {
                 *view = self.view(*d);
             }
-            simd::query_color(&model, BLOCK, &views, &mut scratch);
+            set.call(QueryColor { model, lanes: BLOCK, dirs: &views, scratch });
             for l in 0..end - start {
-                let color = [0, 1, 2].map(|c| scratch.colors()[c * BLOCK + l]);
-                out[start + l] = color.map(|v| self.known(points[start + l], v));
+                out[start + l] = scratch.color(l).map(|v| self.known(points[start + l], v));
             }
         }
     }

@@ -1,9 +1,12 @@
 //! The whole training step against central differences, in `f64`: grid, both networks and poses, per loss and all.
 
-use crate::grid::{FEATURES, Grid, mix};
+use crate::grid::{FEATURES, GROUP, Grid, mix};
 use crate::mlp::Networks;
-use crate::pass::run_tile;
+use crate::pass::RunTile;
 use crate::pose::PoseCorrections;
+use crate::real::{Baseline, Isa};
+use crate::scatter::{Scatter, Vertices};
+use crate::simd::Set;
 use crate::tile::{Model, RAYS, Scratch, Tile, TileGradient, loss};
 use nalgebra::{Isometry3, Vector3, Vector6};
 
@@ -86,42 +89,54 @@ fn problem(only: Option<usize>, log2_table: u32) -> Problem {
     Problem { grid, networks, weights, poses, tiles }
 }
 
-struct Gradient {
-    loss: f64,
-    grid: Vec<Vec<f64>>,
-    weights: Vec<f64>,
-    theta: Vec<Vector6<f64>>,
+struct Gradient<R> {
+    loss: R,
+    grid: Vec<Vec<R>>,
+    weights: Vec<R>,
+    /// By a left perturbation of each frame's pose.
+    twists: Vec<[R; 6]>,
 }
 
 impl Problem {
-    fn evaluate(&self) -> Gradient {
-        let model =
-            Model { grid: &self.grid, networks: &self.networks, weights: &self.weights, truncation: 0.3 };
+    fn evaluate(&self) -> Gradient<f64> {
+        let flipped = self.networks.flip_all(&self.weights);
+        let model = Model {
+            grid: &self.grid,
+            networks: &self.networks,
+            weights: &self.weights,
+            flipped: &flipped,
+            truncation: 0.3,
+        };
         let poses = self.poses.ray_poses::<f64>();
         let mut weights = vec![0.0; self.networks.len];
         let mut grid: Vec<Vec<f64>> = self.grid.tables.iter().map(|t| vec![0.0; t.len()]).collect();
-        let mut twists = [Vector6::zeros(); FRAMES];
+        let mut twists = vec![[0.0; 6]; FRAMES];
         let mut total = 0.0;
         for tile in &self.tiles {
             let mut scratch = Scratch::new(tile.lanes, tile.central, &self.networks);
             let mut out = TileGradient::new(tile.lanes, tile.central, &self.networks);
-            run_tile::<f64, false>(&model, &poses, tile, &mut scratch, &mut out, &mut weights);
+            let (model, poses, scratch) = (&model, &poses, &mut scratch);
+            Baseline::call(RunTile { model, poses, tile, scratch, out: &mut out, grad: &mut weights });
             total += out.losses.iter().sum::<f64>();
-            for r in 0..RAYS {
-                twists[out.frame[r]] += Vector6::from(out.twist[r]);
+            for (frame, twist) in out.frame.iter().zip(out.twist) {
+                for (sum, v) in twists[*frame].iter_mut().zip(twist) {
+                    *sum += v;
+                }
             }
             for (l, (level, grad)) in self.grid.levels.iter().zip(&mut grid).enumerate() {
-                let mut touched = vec![0; level.len.div_ceil(512)];
-                scatter(level, l, &out, grad, &mut touched);
+                let mut touched = vec![0; level.len.div_ceil(GROUP)];
+                let mut to = Vertices { first: 0, grad, touched: &mut touched };
+                Baseline::call(Scatter { level, l, tile: &out, to: &mut to });
             }
         }
-        let theta = (0..FRAMES).map(|f| self.poses.theta_gradient(f, &twists[f])).collect();
-        Gradient { loss: total, grid, weights, theta }
+        Gradient { loss: total, grid, weights, twists }
     }
 
     /// Largest error over parameters picked from every family, relative to the family's largest gradient.
     fn worst(&self) -> f64 {
         let exact = self.evaluate();
+        let theta: Vec<_> =
+            (0..FRAMES).map(|f| self.poses.theta_gradient(f, &Vector6::from(exact.twists[f]))).collect();
         let mut worst: f64 = 0.0;
         let mut families: Vec<Vec<(f64, f64)>> = Vec::new();
         let mut s = 99;
@@ -157,7 +172,7 @@ impl Problem {
         families.push(
             (0..FRAMES)
                 .flat_map(|f| (0..6).map(move |a| (f, a)))
-                .map(|(f, a)| (exact.theta[f][a], self.difference(|p, h| p.poses.theta[f][a] += h)))
+                .map(|(f, a)| (theta[f][a], self.difference(|p, h| p.poses.theta[f][a] += h)))
                 .collect(),
         );
         for family in &families {
@@ -177,25 +192,6 @@ impl Problem {
             p.evaluate().loss
         };
         (at(h) - at(-h)) / (2.0 * h)
-    }
-}
-
-fn scatter(
-    level: &crate::grid::Level,
-    l: usize,
-    out: &TileGradient<f64>,
-    grad: &mut [f64],
-    touched: &mut [u64],
-) {
-    let (n, m, row) = (out.lanes, out.central, FEATURES * l);
-    for lane in 0..n {
-        let p = [0, 1, 2].map(|a| out.pos[a * n + lane]);
-        let value = [out.enc[row * n + lane], out.enc[(row + 1) * n + lane]];
-        let slope = (out.has_eikonal && lane >= n - m).then(|| {
-            let c = lane + m - n;
-            ([0, 1, 2].map(|a| out.gamma[a * m + c]), [out.v[row * m + c], out.v[(row + 1) * m + c]])
-        });
-        level.scatter(p, value, slope, grad, touched);
     }
 }
 
@@ -219,19 +215,23 @@ fn all_losses_together_dense_and_hashed() {
     }
 }
 
-#[test]
-fn single_precision_agrees_with_double() {
-    // The same tile through the dispatched f32 path and through f64.
-    let p = problem(None, 20);
-    let exact = p.evaluate();
+/// The gradients of a problem's tiles in single precision, on an instruction set.
+fn single(p: &Problem, set: Set) -> Gradient<f32> {
     let narrow = |v: &[f64]| v.iter().map(|x| *x as f32).collect::<Vec<f32>>();
-    let grid =
-        Grid { levels: p.grid.levels.clone(), tables: p.grid.tables.iter().map(|t| narrow(t)).collect() };
+    let tables = p.grid.tables.iter().map(|t| narrow(t)).collect();
+    let grid = Grid { levels: p.grid.levels.clone(), tables };
     let weights = narrow(&p.weights);
-    let model = Model { grid: &grid, networks: &p.networks, weights: &weights, truncation: 0.3 };
+    let flipped = p.networks.flip_all(&weights);
+    let networks = &p.networks;
+    let model = Model { grid: &grid, networks, weights: &weights, flipped: &flipped, truncation: 0.3 };
     let poses = p.poses.ray_poses::<f32>();
-    let mut grad = vec![0.0f32; p.networks.len];
-    let mut total = 0.0;
+    let mut gradient = Gradient {
+        loss: 0.0,
+        grid: grid.tables.iter().map(|t| vec![0.0; t.len()]).collect(),
+        weights: vec![0.0; networks.len],
+        twists: vec![[0.0; 6]; FRAMES],
+    };
+    let mut touched: Vec<Vec<u8>> = grid.levels.iter().map(|l| vec![0; l.len.div_ceil(GROUP)]).collect();
     for t in &p.tiles {
         let mut tile = Tile::<f32>::new(t.lanes, t.central);
         tile.frame = t.frame;
@@ -247,14 +247,61 @@ fn single_precision_agrees_with_double() {
         tile.w_eikonal = narrow(&t.w_eikonal);
         tile.has_color = t.has_color;
         tile.has_eikonal = t.has_eikonal;
-        let mut scratch = Scratch::new(tile.lanes, tile.central, &p.networks);
-        let mut out = TileGradient::new(tile.lanes, tile.central, &p.networks);
-        crate::simd::run_tile(&model, &poses, &tile, &mut scratch, &mut out, &mut grad);
-        total += out.losses.iter().map(|v| f64::from(*v)).sum::<f64>();
+        let mut scratch = Scratch::new(tile.lanes, tile.central, networks);
+        let mut out = TileGradient::new(tile.lanes, tile.central, networks);
+        let (model, poses, tile, scratch) = (&model, &poses, &tile, &mut scratch);
+        set.call(RunTile { model, poses, tile, scratch, out: &mut out, grad: &mut gradient.weights });
+        gradient.loss += out.losses.iter().sum::<f32>();
+        for (frame, twist) in out.frame.iter().zip(out.twist) {
+            for (sum, v) in gradient.twists[*frame].iter_mut().zip(twist) {
+                *sum += v;
+            }
+        }
+        // In two parts, as training does it.
+        for (l, (level, grad)) in grid.levels.iter().zip(&mut gradient.grid).enumerate() {
+            let middle = (level.len / 2).next_multiple_of(GROUP);
+            let (low, high) = grad.split_at_mut(FEATURES * middle);
+            let (low_touched, high_touched) = touched[l].split_at_mut(middle / GROUP);
+            for (first, grad, touched) in [(0, low, low_touched), (middle, high, high_touched)] {
+                set.call(Scatter { level, l, tile: &out, to: &mut Vertices { first, grad, touched } });
+            }
+        }
     }
-    assert!((total - exact.loss).abs() < 1e-4 * exact.loss);
-    let scale = exact.weights.iter().fold(0.0f64, |m, g| m.max(g.abs()));
-    for (g, e) in grad.iter().zip(&exact.weights) {
-        assert!((f64::from(*g) - e).abs() < 1e-4 * scale);
+    for (grad, touched) in gradient.grid.iter().zip(touched) {
+        for (g, touched) in grad.chunks(GROUP * FEATURES).zip(touched) {
+            assert_eq!(touched == 1, g.iter().any(|v| *v != 0.0));
+        }
+    }
+    gradient
+}
+
+/// Largest difference of any number, relative to the largest of its family.
+fn worst_difference(a: &Gradient<f32>, b: &Gradient<f64>, networks: &Networks) -> f64 {
+    let family = |a: &[f32], b: &[f64]| {
+        let scale = b.iter().fold(1e-12f64, |m, v| m.max(v.abs()));
+        a.iter().zip(b).fold(0.0f64, |m, (a, b)| m.max((f64::from(*a) - b).abs() / scale))
+    };
+    let mut worst = family(&[a.loss], &[b.loss]);
+    for (a, b) in a.grid.iter().zip(&b.grid) {
+        worst = worst.max(family(a, b));
+    }
+    for layer in networks.geometry.iter().chain(&networks.color) {
+        for range in [layer.weights(), layer.bias()] {
+            worst = worst.max(family(&a.weights[range.clone()], &b.weights[range]));
+        }
+    }
+    worst.max(family(a.twists.as_flattened(), b.twists.as_flattened()))
+}
+
+#[test]
+fn every_instruction_set_agrees_with_double_precision() {
+    for log2_table in [20, 8] {
+        let p = problem(None, log2_table);
+        let exact = p.evaluate();
+        for set in Set::all() {
+            let worst = worst_difference(&single(&p, set), &exact, &p.networks);
+            println!("{set:?}: {worst:.1e}");
+            assert!(worst < 1e-5, "{set:?}: {worst:.1e}");
+        }
     }
 }

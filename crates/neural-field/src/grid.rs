@@ -1,13 +1,20 @@
 //! The multi-resolution feature grid (Müller et al., Instant NGP, 2022, section 3): trilinear interpolation on a
 //! few lattices, dense where they fit the table, hashed where they do not.
 
-use crate::real::Real;
+use crate::adam::PartState;
+use crate::lanes::Lanes;
+use crate::real::{Isa, Kernel, Real};
+use crate::tile::{PANEL, Panel, VECTOR};
+use std::ops::Range;
 
 /// Features per lattice vertex. Fixed: a pair of vertices is then one 128-bit load.
 pub(crate) const FEATURES: usize = 2;
 
 /// Vertices of one lattice in memory; a multiple of it is allocated, and Adam updates whole groups.
 pub(crate) const GROUP: usize = 8;
+
+/// Features of a vector of points, and their derivatives along the axes.
+type Encoded<V> = ([V; FEATURES], [[V; 3]; FEATURES]);
 
 /// One lattice over the unit cube.
 #[derive(Clone, Debug)]
@@ -36,136 +43,204 @@ impl Level {
     }
 }
 
-/// The eight vertices around a point: rows along x for (y, z) = (0, 0), (1, 0), (0, 1), (1, 1).
-pub(crate) struct Corners<R> {
-    pub(crate) rows: [[usize; 2]; 4],
-    pub(crate) frac: [R; 3],
+/// Heights in the unit cube at which dense lattices are cut into parts that are updated side by side. Objects fill the
+/// middle two thirds of the cube, and most samples are near their surface; that of a sphere is alike in all four.
+const CUTS: [f64; 3] = [1.0 / 3.0, 1.0 / 2.0, 2.0 / 3.0];
+
+/// Lattices with fewer vertices stay in one part.
+const LEAST_CUT: usize = 1 << 14;
+
+impl Level {
+    /// Parts of the vertices, in groups of [`GROUP`]. Fixed, so that sums don't depend on the number of threads.
+    pub(crate) fn parts(&self) -> impl Iterator<Item = Range<usize>> + use<> {
+        let (n, len) = (self.vertices as usize, self.len);
+        let cuts = if self.hash_mask.is_some() || len < LEAST_CUT { &[] } else { &CUTS[..] };
+        let mut from = 0;
+        cuts.iter()
+            .map(move |c| ((c * n as f64) as usize * n * n).next_multiple_of(GROUP))
+            .chain([len])
+            .map(move |to| std::mem::replace(&mut from, to)..to)
+    }
 }
 
-/// Trilinear values at a point and their derivatives by position.
-pub(crate) struct Interpolated<R> {
-    pub(crate) value: [R; FEATURES],
-    pub(crate) slope: [[R; 3]; FEATURES],
+/// Where some points lie in a lattice.
+pub(crate) struct Cells<R> {
+    /// Cell along each axis, `[axis][point]`; of a hashed lattice only.
+    cell: [[u32; VECTOR]; 3],
+    /// Where the first vertex's features are in the table of a dense lattice.
+    pub(crate) base: [u32; VECTOR],
+    /// The same as numbers.
+    pub(crate) start: [R; VECTOR],
+    /// Position within the cell, `[axis][point]`.
+    pub(crate) frac: [[R; VECTOR]; 3],
+}
+
+impl<R> Cells<R> {
+    /// A point's cell along each axis; of a hashed lattice only.
+    #[inline(always)]
+    pub(crate) fn cell(&self, p: usize) -> [u32; 3] {
+        [self.cell[0][p], self.cell[1][p], self.cell[2][p]]
+    }
 }
 
 impl Level {
-    /// Corners of the cell around `p`, a point of the unit cube (clamped to it).
+    /// Cells of the points from `start` in `pos[axis * lanes + point]`, in the unit cube (clamped to it).
     #[inline(always)]
-    pub(crate) fn corners<R: Real>(&self, p: [R; 3]) -> Corners<R> {
-        let scale = R::of(self.scale);
-        let mut cell = [0u32; 3];
-        let mut frac = [R::ZERO; 3];
-        for a in 0..3 {
-            let x = p[a] * scale + R::of(0.5);
-            let i = x.trunc_int().clamp(0, self.vertices as i32 - 2);
-            cell[a] = i as u32;
-            frac[a] = x - R::of(f64::from(i));
+    pub(crate) fn locate<R: Real, I: Isa>(&self, pos: &[R], lanes: usize, start: usize) -> Cells<R> {
+        let mut cells = Cells {
+            cell: [[0; VECTOR]; 3],
+            base: [0; VECTOR],
+            start: [R::ZERO; VECTOR],
+            frac: [[R::ZERO; VECTOR]; 3],
+        };
+        let n = R::of_int(self.vertices as i32);
+        let (scale, half) = (<R::V<I>>::splat(R::of(self.scale)), <R::V<I>>::splat(R::of(0.5)));
+        let features = <R::V<I>>::splat(R::of_int(FEATURES as i32));
+        let (n, last) = (<R::V<I>>::splat(n), <R::V<I>>::splat(n - R::of(2.0)));
+        for p in (0..VECTOR).step_by(<R::V<I>>::N) {
+            // Numbers of vertices are at most 2^24 and exact.
+            let mut base = <R::V<I>>::splat(R::ZERO);
+            for a in [2, 1, 0] {
+                let x = <R::V<I>>::load(pos, a * lanes + start + p).madd(scale, half);
+                let i = x.positive().min(last).trunc();
+                x.sub(i).store(&mut cells.frac[a], p);
+                base = base.madd(n, i);
+                if self.hash_mask.is_some() {
+                    i.store_ints(&mut cells.cell[a], p);
+                }
+            }
+            if self.hash_mask.is_none() {
+                base = base.mul(features);
+                base.store(&mut cells.start, p);
+                base.store_ints(&mut cells.base, p);
+            }
         }
-        let [x, y, z] = cell;
-        let rows = match self.hash_mask {
+        cells
+    }
+
+    /// How far a dense lattice's rows along x are from a cell's first vertex, for (y, z) = (0, 0), (1, 0), (0, 1), (1, 1).
+    #[inline(always)]
+    pub(crate) fn strides(&self) -> [usize; 4] {
+        let n = self.vertices as usize;
+        [0, n, n * n, n * n + n]
+    }
+
+    /// From where a cell's features start in a dense lattice's table to where they end.
+    #[inline(always)]
+    pub(crate) fn reach(&self) -> usize {
+        FEATURES * (self.strides()[3] + 2)
+    }
+
+    /// Vertices of a cell in a hashed lattice, rows as in [`strides`](Self::strides).
+    #[inline(always)]
+    pub(crate) fn hashed(&self, mask: u32, [x, y, z]: [u32; 3]) -> [[usize; 2]; 4] {
+        let (y0, y1) = (y.wrapping_mul(HASH_Y), (y + 1).wrapping_mul(HASH_Y));
+        let (z0, z1) = (z.wrapping_mul(HASH_Z), (z + 1).wrapping_mul(HASH_Z));
+        let mut rows = [[0; 2]; 4];
+        for (row, h) in rows.iter_mut().zip([y0 ^ z0, y1 ^ z0, y0 ^ z1, y1 ^ z1]) {
+            *row = [((h ^ x) & mask) as usize, ((h ^ (x + 1)) & mask) as usize];
+        }
+        rows
+    }
+
+    /// Rows of the cells of every fourth point from `place`, each a vector of quads: the features of a row's two
+    /// vertices, `[a0, a1, b0, b1]`.
+    #[inline(always)]
+    fn rows<R: Real, I: Isa>(
+        &self,
+        table: &[R],
+        cells: &Cells<R>,
+        first: usize,
+        place: usize,
+    ) -> [R::V<I>; 4] {
+        let mut rows = [<R::V<I>>::splat(R::ZERO); 4];
+        match self.hash_mask {
             None => {
-                let n = self.vertices as usize;
-                let base = (z as usize * n + y as usize) * n + x as usize;
-                [base, base + n, base + n * n, base + n * n + n].map(|r| [r, r + 1])
+                for (row, stride) in rows.iter_mut().zip(self.strides()) {
+                    *row = <R::V<I>>::load_quads(table, &cells.base[first..], place, FEATURES * stride);
+                }
             }
             Some(mask) => {
-                let (y0, y1) = (y.wrapping_mul(HASH_Y), (y + 1).wrapping_mul(HASH_Y));
-                let (z0, z1) = (z.wrapping_mul(HASH_Z), (z + 1).wrapping_mul(HASH_Z));
-                [y0 ^ z0, y1 ^ z0, y0 ^ z1, y1 ^ z1]
-                    .map(|h| [((h ^ x) & mask) as usize, ((h ^ (x + 1)) & mask) as usize])
-            }
-        };
-        Corners { rows, frac }
-    }
-
-    /// A row of the table: features of the two vertices, `[a0, a1, b0, b1]`.
-    #[inline(always)]
-    fn row<R: Real>(&self, table: &[R], [a, b]: [usize; 2]) -> [R; 4] {
-        if self.hash_mask.is_none()
-            && let Some(row) = table[FEATURES * a..].first_chunk::<4>()
-        {
-            return *row;
-        }
-        [table[2 * a], table[2 * a + 1], table[2 * b], table[2 * b + 1]]
-    }
-
-    /// Values and derivatives by the position in the unit cube.
-    #[inline(always)]
-    pub(crate) fn interpolate<R: Real>(&self, table: &[R], p: [R; 3]) -> Interpolated<R> {
-        let Corners { rows, frac: [fx, fy, fz] } = self.corners(p);
-        let r = rows.map(|row| self.row(table, row));
-        let scale = R::of(self.scale);
-        let mut rr = [R::ZERO; 4];
-        let mut dy = [R::ZERO; 4];
-        let mut dz = [R::ZERO; 4];
-        for c in 0..4 {
-            let (d0, d1) = (r[1][c] - r[0][c], r[3][c] - r[2][c]);
-            let (y0, y1) = (r[0][c] + fy * d0, r[2][c] + fy * d1);
-            dz[c] = y1 - y0;
-            rr[c] = y0 + fz * dz[c];
-            dy[c] = d0 + fz * (d1 - d0);
-        }
-        let along_x = |v: &[R; 4], f: usize| v[f] + fx * (v[2 + f] - v[f]);
-        Interpolated {
-            value: std::array::from_fn(|f| along_x(&rr, f)),
-            slope: std::array::from_fn(|f| {
-                [scale * (rr[2 + f] - rr[f]), scale * along_x(&dy, f), scale * along_x(&dz, f)]
-            }),
-        }
-    }
-
-    /// Mixed second derivatives `[d2/dxdy, d2/dxdz, d2/dydz]` of each feature (the pure ones are zero).
-    #[inline(always)]
-    pub(crate) fn mixed<R: Real>(&self, table: &[R], p: [R; 3]) -> [[R; 3]; FEATURES] {
-        let Corners { rows, frac: [fx, fy, fz] } = self.corners(p);
-        let r = rows.map(|row| self.row(table, row));
-        let scale2 = R::of(self.scale * self.scale);
-        std::array::from_fn(|f| {
-            let dx = [0, 1, 2, 3].map(|i| r[i][2 + f] - r[i][f]);
-            let xy = (dx[1] - dx[0]) + fz * ((dx[3] - dx[2]) - (dx[1] - dx[0]));
-            let xz = (dx[2] - dx[0]) + fy * ((dx[3] - dx[1]) - (dx[2] - dx[0]));
-            let twist = |c: usize| (r[3][c] - r[2][c]) - (r[1][c] - r[0][c]);
-            let yz = twist(f) + fx * (twist(2 + f) - twist(f));
-            [scale2 * xy, scale2 * xz, scale2 * yz]
-        })
-    }
-
-    /// Adds to the vertices' gradients what a gradient `value` of the features at `p` and a gradient
-    /// `v[f] * gamma[i]` of their derivatives amount to; marks the groups of vertices it touched.
-    #[inline(always)]
-    pub(crate) fn scatter<R: Real>(
-        &self,
-        p: [R; 3],
-        value: [R; FEATURES],
-        slope: Option<([R; 3], [R; FEATURES])>,
-        grad: &mut [R],
-        touched: &mut [u64],
-    ) {
-        let Corners { rows, frac: [fx, fy, fz] } = self.corners(p);
-        let (gx, gy, gz) = (R::ONE - fx, R::ONE - fy, R::ONE - fz);
-        let wyz = [gy * gz, fy * gz, gy * fz, fy * fz];
-        let wx = [gx, fx];
-        let scale = R::of(self.scale);
-        for (i, row) in rows.iter().enumerate() {
-            for (side, &entry) in row.iter().enumerate() {
-                let w = wyz[i] * wx[side];
-                let mut add: [R; FEATURES] = std::array::from_fn(|f| w * value[f]);
-                if let Some((gamma, v)) = &slope {
-                    let sign = |up: bool| if up { R::ONE } else { -R::ONE };
-                    let (wy, wz) = (if i & 1 == 1 { fy } else { gy }, if i & 2 == 2 { fz } else { gz });
-                    let dw = scale
-                        * (gamma[0] * sign(side == 1) * wyz[i]
-                            + gamma[1] * sign(i & 1 == 1) * wx[side] * wz
-                            + gamma[2] * sign(i & 2 == 2) * wx[side] * wy);
-                    for f in 0..FEATURES {
-                        add[f] += dw * v[f];
+                let mut found = [[R::ZERO; VECTOR]; 4];
+                for q in 0..<R::V<I>>::N / 4 {
+                    let vertices = self.hashed(mask, cells.cell(first + 4 * q + place));
+                    for (found, [a, b]) in found.iter_mut().zip(vertices) {
+                        found[4 * q..4 * q + 2].copy_from_slice(&table[2 * a..2 * a + 2]);
+                        found[4 * q + 2..4 * q + 4].copy_from_slice(&table[2 * b..2 * b + 2]);
                     }
                 }
-                let at = FEATURES * entry;
-                grad[at] += add[0];
-                grad[at + 1] += add[1];
-                let group = entry / GROUP;
-                touched[group / 64] |= 1 << (group % 64);
+                for (row, found) in rows.iter_mut().zip(&found) {
+                    *row = <R::V<I>>::load(found, 0);
+                }
+            }
+        }
+        rows
+    }
+
+    /// Encodes a vector of points: features, and if `SLOPES` their derivatives by position in the unit cube.
+    #[inline(always)]
+    fn interpolate<R: Real, I: Isa, const SLOPES: bool>(
+        &self,
+        table: &[R],
+        cells: &Cells<R>,
+        first: usize,
+    ) -> Encoded<R::V<I>> {
+        let zero = <R::V<I>>::splat(R::ZERO);
+        let (mut values, mut slopes) = ([zero; 4], [zero; 4]);
+        let fx = <R::V<I>>::load(&cells.frac[0], first);
+        let fy = <R::V<I>>::load(&cells.frac[1], first);
+        let fz = <R::V<I>>::load(&cells.frac[2], first);
+        for place in 0..4 {
+            let r = self.rows::<R, I>(table, cells, first, place);
+            let (fx, fy, fz) = (fx.splat_in_quads(place), fy.splat_in_quads(place), fz.splat_in_quads(place));
+            let (low, high) = (r[1].sub(r[0]), r[3].sub(r[2]));
+            let (y0, y1) = (fy.madd(low, r[0]), fy.madd(high, r[2]));
+            let dz = y1.sub(y0);
+            let value = fz.madd(dz, y0);
+            let dy = fz.madd(high.sub(low), low);
+            // Along x, values and slopes by y in one: `[v, v, dy, dy]`.
+            let (a, b) = (value.low_pairs(dy), value.high_pairs(dy));
+            let dx = b.sub(a);
+            values[place] = fx.madd(dx, a);
+            if SLOPES {
+                let dz = fx.madd(dz.high_pairs(dz).sub(dz), dz);
+                slopes[place] = dx.low_pairs(dz);
+            }
+        }
+        let [v0, v1, y0, y1] = Lanes::transpose_quads(values);
+        let [x0, x1, z0, z1] = Lanes::transpose_quads(slopes);
+        let scale = <R::V<I>>::splat(R::of(self.scale));
+        (
+            [v0, v1],
+            [[x0.mul(scale), y0.mul(scale), z0.mul(scale)], [x1.mul(scale), y1.mul(scale), z1.mul(scale)]],
+        )
+    }
+
+    /// Mixed second derivatives of each feature (the pure ones are zero): `out[f * 3 + k][point]` with k for xy, xz, yz.
+    #[inline(always)]
+    pub(crate) fn mixed<R: Real, I: Isa>(&self, table: &[R], cells: &Cells<R>, out: &mut [R]) {
+        let zero = <R::V<I>>::splat(R::ZERO);
+        let scale2 = <R::V<I>>::splat(R::of(self.scale * self.scale));
+        for first in (0..VECTOR).step_by(<R::V<I>>::N) {
+            let fx = <R::V<I>>::load(&cells.frac[0], first);
+            let fy = <R::V<I>>::load(&cells.frac[1], first);
+            let fz = <R::V<I>>::load(&cells.frac[2], first);
+            let (mut by_x, mut by_yz) = ([zero; 4], [zero; 4]);
+            for place in 0..4 {
+                let r = self.rows::<R, I>(table, cells, first, place);
+                let (fx, fy, fz) =
+                    (fx.splat_in_quads(place), fy.splat_in_quads(place), fz.splat_in_quads(place));
+                let (y0, y1) = (r[1].sub(r[0]), r[3].sub(r[2]));
+                let (z0, z1) = (r[2].sub(r[0]), r[3].sub(r[1]));
+                let twist = y1.sub(y0);
+                let (dy, dz) = (fz.madd(twist, y0), fy.madd(z1.sub(z0), z0));
+                by_x[place] = dy.high_pairs(dz).sub(dy.low_pairs(dz));
+                by_yz[place] = fx.madd(twist.high_pairs(twist).sub(twist), twist);
+            }
+            let [xy0, xy1, xz0, xz1] = Lanes::transpose_quads(by_x);
+            let [yz0, yz1, _, _] = Lanes::transpose_quads(by_yz);
+            for (row, v) in [xy0, xz0, yz0, xy1, xz1, yz1].into_iter().enumerate() {
+                v.mul(scale2).store(out, row * VECTOR + first);
             }
         }
     }
@@ -222,23 +297,58 @@ impl<R: Real> Grid<R> {
         self.levels.len() * FEATURES
     }
 
-    /// Encodes `lanes` points (`pos[axis * lanes + lane]`) into `enc[feature * lanes + lane]` and
-    /// `jac[(feature * 3 + axis) * lanes + lane]`.
+    /// Gives every part, in order of the finest lattice first, its lattice and the features of its vertices.
+    pub(crate) fn shares<'a>(
+        &'a mut self,
+        parts: &'a mut [PartState],
+    ) -> Vec<(&'a Level, &'a mut PartState, &'a mut [R])> {
+        let mut parts = parts.iter_mut().peekable();
+        let mut shares = Vec::new();
+        for (l, (level, table)) in self.levels.iter().zip(&mut self.tables).enumerate().rev() {
+            let mut table = table.as_mut_slice();
+            while let Some(part) = parts.next_if(|p| p.level == l) {
+                let (own, rest) = table.split_at_mut(part.grad.len());
+                shares.push((level, part, own));
+                table = rest;
+            }
+        }
+        shares
+    }
+}
+
+/// Encodes a panel of the points `pos[axis * lanes + lane]` into `enc[feature][lane]`, and if `SLOPES` its derivatives
+/// into `jac[feature * 3 + axis][lane]`. What is not a feature in `enc` becomes zero.
+pub(crate) struct Encode<'a, R, const SLOPES: bool> {
+    pub(crate) grid: &'a Grid<R>,
+    pub(crate) pos: (&'a [R], usize),
+    pub(crate) panel: Panel,
+    pub(crate) enc: &'a mut [R],
+    pub(crate) jac: &'a mut [R],
+}
+
+impl<R: Real, const SLOPES: bool> Kernel for Encode<'_, R, SLOPES> {
     #[inline(always)]
-    pub(crate) fn encode(&self, pos: &[R], lanes: usize, enc: &mut [R], jac: &mut [R]) {
-        for (l, (level, table)) in self.levels.iter().zip(&self.tables).enumerate() {
-            for lane in 0..lanes {
-                let p = [pos[lane], pos[lanes + lane], pos[2 * lanes + lane]];
-                let at = level.interpolate(table, p);
-                for f in 0..FEATURES {
-                    let row = FEATURES * l + f;
-                    enc[row * lanes + lane] = at.value[f];
-                    for a in 0..3 {
-                        jac[(row * 3 + a) * lanes + lane] = at.slope[f][a];
+    fn run<I: Isa>(self) {
+        let Self { grid, pos: (pos, lanes), panel, enc, jac } = self;
+        for (l, (level, table)) in grid.levels.iter().zip(&grid.tables).enumerate() {
+            for from in (0..panel.width).step_by(VECTOR) {
+                let cells = level.locate::<R, I>(pos, lanes, panel.start + from);
+                for p in (0..VECTOR).step_by(<R::V<I>>::N) {
+                    let (values, slopes) = level.interpolate::<R, I, SLOPES>(table, &cells, p);
+                    for f in 0..FEATURES {
+                        let row = FEATURES * l + f;
+                        values[f].store(enc, row * PANEL + from + p);
+                        if SLOPES {
+                            for (a, slope) in slopes[f].iter().enumerate() {
+                                slope.store(jac, (row * 3 + a) * PANEL + from + p);
+                            }
+                        }
                     }
                 }
             }
         }
+        // What another grid may have left there.
+        enc[grid.width() * PANEL..].fill(R::ZERO);
     }
 }
 
@@ -254,6 +364,7 @@ pub(crate) fn mix(x: u64) -> u64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::real::Baseline;
 
     #[test]
     fn online_lattices_are_dense_with_one_vertex_more_than_cells() {
@@ -261,6 +372,11 @@ mod tests {
         let vertices: Vec<u32> = grid.levels.iter().map(|l| l.vertices).collect();
         assert_eq!(vertices, [17, 33, 65, 129]);
         assert!(grid.levels.iter().all(|l| l.hash_mask.is_none()));
+    }
+
+    /// Cells of one point.
+    fn locate<R: Real>(level: &Level, p: [R; 3]) -> Cells<R> {
+        level.locate::<R, Baseline>(&p.map(|v| [v; VECTOR]).concat(), VECTOR, 0)
     }
 
     #[test]
@@ -276,7 +392,7 @@ mod tests {
             let n = level.vertices as usize - 1;
             for i in 0..n * n {
                 let p = [i % n, i / n, n / 2].map(|c| (c as f64 + 0.01 - 0.5) / level.scale);
-                used.insert(level.corners(p).rows[0][0]);
+                used.insert(level.hashed(level.hash_mask.unwrap(), locate(level, p).cell(0))[0][0]);
             }
             let expected = table as f64 * (1.0 - (-((n * n) as f64) / table as f64).exp());
             assert!(used.len() as f64 > 0.9 * expected, "{} of {expected}", used.len());
@@ -290,20 +406,27 @@ mod tests {
             for (level, table) in grid.levels.iter().zip(&grid.tables) {
                 let p = [0.313, 0.571, 0.847];
                 let h = 1e-6;
-                let at = level.interpolate(table, p);
-                let mixed = level.mixed(table, p);
+                let encode = |p: [f64; 3]| {
+                    let (value, slope) =
+                        level.interpolate::<f64, Baseline, true>(table, &locate(level, p), 0);
+                    // Eight times the same point.
+                    (value.map(|v| v.total() / 8.0), slope.map(|s| s.map(|v| v.total() / 8.0)))
+                };
+                let at = encode(p);
+                let mut mixed = [0.0; 3 * FEATURES * VECTOR];
+                level.mixed::<f64, Baseline>(table, &locate(level, p), &mut mixed);
                 for a in 0..3 {
                     let (mut lo, mut hi) = (p, p);
                     lo[a] -= h;
                     hi[a] += h;
-                    let (l, u) = (level.interpolate(table, lo), level.interpolate(table, hi));
+                    let (l, u) = (encode(lo), encode(hi));
                     for f in 0..FEATURES {
-                        let slope = (u.value[f] - l.value[f]) / (2.0 * h);
-                        assert!((slope - at.slope[f][a]).abs() < 1e-6);
+                        let slope = (u.0[f] - l.0[f]) / (2.0 * h);
+                        assert!((slope - at.1[f][a]).abs() < 1e-6);
                         for (b, pair) in [(0, 1), (0, 2), (1, 2)].iter().enumerate() {
                             if pair.0 == a {
-                                let second = (u.slope[f][pair.1] - l.slope[f][pair.1]) / (2.0 * h);
-                                assert!((second - mixed[f][b]).abs() < 1e-6);
+                                let second = (u.1[f][pair.1] - l.1[f][pair.1]) / (2.0 * h);
+                                assert!((second - mixed[(3 * f + b) * VECTOR]).abs() < 1e-6);
                             }
                         }
                     }
@@ -317,9 +440,19 @@ mod tests {
         let grid = Grid::<f32>::new(3, (16, 64), 22, 1e-4, 0);
         for level in &grid.levels {
             for p in [[0.0; 3], [1.0; 3], [f32::NAN; 3], [-5.0, 7.0, 1e30]] {
-                let c = level.corners(p);
-                assert!(c.rows.iter().flatten().all(|&i| i < level.len));
+                let base = locate(level, p).base[0] as usize;
+                assert!(base + level.reach() <= FEATURES * level.len);
             }
+        }
+    }
+
+    #[test]
+    fn parts_cover_every_vertex_once_in_whole_groups() {
+        for level in &Grid::<f32>::new(16, (16, 256), 18, 1e-4, 0).levels {
+            let parts: Vec<Range<usize>> = level.parts().collect();
+            assert!(parts[0].start == 0 && parts.last().unwrap().end == level.len);
+            assert!(parts.windows(2).all(|w| w[0].end == w[1].start && w[1].start.is_multiple_of(GROUP)));
+            assert!(parts.iter().all(|p| !p.is_empty()));
         }
     }
 }

@@ -35,8 +35,9 @@
 //! - **Everything in truncation units.** The network's output is distance over truncation distance and every loss is
 //!   divided by its number of samples, so the same weights fit a cup and a suitcase.
 //! - **Fused tiles.** Four rays with all their samples go through encoding, networks, losses and back in one pass
-//!   over cache-sized, feature-major buffers. The code is generic over the scalar: `f32` trains under AVX2 where the
-//!   processor has it, `f64` checks the same code against finite differences.
+//!   over cache-sized buffers. The kernels are written in vectors and compiled once for AVX-512, AVX2 and what every
+//!   processor has; which one runs is found out at run time. They are generic over the scalar as well: `f32` trains,
+//!   `f64` checks the same code against finite differences.
 //! - **Reproducible.** Sums run in a fixed order: the same input and seed give the same bits on any number of threads.
 //! - **Poses by gradient.** Distance, colour and eikonal terms all pull at the poses through the sample positions.
 //!   All frames move while the field is trained, then everything is moved back so that the first pose is untouched.
@@ -69,6 +70,7 @@ mod gpu;
 mod gradient_check;
 mod grid;
 mod harmonics;
+mod lanes;
 mod mesh;
 mod mlp;
 mod pass;
@@ -78,6 +80,7 @@ mod rays;
 mod real;
 mod round;
 mod sampler;
+mod scatter;
 mod sight;
 mod silhouette;
 mod simd;

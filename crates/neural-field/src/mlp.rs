@@ -1,8 +1,10 @@
 //! Shapes and initial values of the two small networks, kept in one flat vector of weights.
 
+use crate::gemm::transpose;
 use crate::grid::mix;
 use crate::harmonics;
 use crate::real::Real;
+use crate::tile::Aligned;
 use std::ops::Range;
 
 /// Rows of a matrix and its bias inside the flat weight vector. Weights are `[output][input]`.
@@ -53,6 +55,16 @@ impl Codes {
     }
 }
 
+/// Places of transposed weights.
+pub(crate) struct Flipped {
+    /// Of the first geometry layer.
+    pub(crate) hidden: Range<usize>,
+    /// Of the geometry features' rows of the second, padded to [`Networks::padded_features`] columns of zeros.
+    pub(crate) features: Range<usize>,
+    /// Of the first two colour layers.
+    pub(crate) color: [Range<usize>; 2],
+}
+
 /// Geometry: encoding -> hidden ReLU -> `[sdf | features]`. Colour: `[features | harmonics | code]` -> hidden
 /// ReLU -> hidden ReLU -> 3, then a sigmoid. Input widths are padded to multiples of 8 with inputs that stay zero.
 #[derive(Clone, Copy, Debug)]
@@ -80,6 +92,51 @@ impl Networks {
         let codes = Codes { size: codes.0, frames: codes.1, start: len };
         len += codes.size * (codes.frames + 1);
         Self { features, geometry, color, codes, len }
+    }
+
+    /// Geometry features in the transposed layer, rounded up to whole vectors.
+    pub(crate) fn padded_features(&self) -> usize {
+        self.features.next_multiple_of(8)
+    }
+
+    /// Numbers from lane to lane of what goes into the colour network.
+    pub(crate) fn color_stride(&self) -> usize {
+        self.color[0].inputs.max(self.hidden())
+    }
+
+    /// Transposes `[input][output]` of what the forward pass multiplies from the right; see [`flip`](Self::flip).
+    pub(crate) fn flip_all<R: Real>(&self, weights: &[R]) -> Aligned<R> {
+        let mut flipped = Aligned::zeros(self.flipped().1);
+        self.flip(weights, &mut flipped);
+        flipped
+    }
+
+    /// Writes the transposes anew.
+    pub(crate) fn flip<R: Real>(&self, weights: &[R], flipped: &mut [R]) {
+        let ([g0, g1], [c0, c1, _]) = (self.geometry, self.color);
+        let Flipped { hidden, features, color } = self.flipped().0;
+        let mut put = |w: &[R], layer: &Layer, outputs: usize, to: Range<usize>, stride: usize| {
+            transpose((w, layer.inputs), (outputs, layer.inputs), (&mut flipped[to], stride));
+        };
+        put(&weights[g0.weights()], &g0, g0.outputs, hidden, g0.outputs);
+        put(&weights[g1.weights()][g1.inputs..], &g1, self.features, features, self.padded_features());
+        let [first, second] = color;
+        put(&weights[c0.weights()], &c0, c0.outputs, first, c0.outputs);
+        put(&weights[c1.weights()], &c1, c1.outputs, second, c1.outputs);
+    }
+
+    /// Where [`flip`](Self::flip) writes what, and the length of it all.
+    pub(crate) fn flipped(&self) -> (Flipped, usize) {
+        let ([g0, g1], [c0, c1, _]) = (self.geometry, self.color);
+        let mut len = 0;
+        let mut next = |n: usize| {
+            len += n;
+            len - n..len
+        };
+        let hidden = next(g0.inputs * g0.outputs);
+        let features = next(g1.inputs * self.padded_features());
+        let color = [next(c0.inputs * c0.outputs), next(c1.inputs * c1.outputs)];
+        (Flipped { hidden, features, color }, len)
     }
 
     pub(crate) fn encoding(&self) -> usize {

@@ -5,43 +5,62 @@
 use crate::clock::Stage;
 use crate::color::color_pass;
 use crate::eikonal::eikonal_pass;
-use crate::gemm::{dot, gemm_add, sum, transpose};
-use crate::mlp::Layer;
-use crate::real::Real;
-use crate::tile::{Model, RAYS, RayPose, Scratch, Tile, TileGradient, loss};
+use crate::gemm::{
+    Add, Columns, Rows, Store, Target, load, load_row, product, store_row, sum, to_columns, to_rows,
+};
+use crate::grid::Encode;
+use crate::lanes::Lanes;
+use crate::real::{Isa, Kernel, Real};
+use crate::tile::{Model, PANEL, Panel, RAYS, RayPose, Scratch, Tile, TileGradient, loss};
 
 /// Forward and backward pass over one tile. Adds to `grad` (flat network weights), overwrites `out`.
-#[inline(always)]
-pub(crate) fn run_tile<R: Real, const FMA: bool>(
-    model: &Model<'_, R>,
-    poses: &[RayPose<R>],
-    tile: &Tile<R>,
-    scratch: &mut Scratch<R>,
-    out: &mut TileGradient<R>,
-    grad: &mut [R],
-) {
-    out.frame = tile.frame;
-    out.has_eikonal = tile.has_eikonal;
-    out.losses = [R::ZERO; loss::COUNT];
-    out.twist = [[R::ZERO; 6]; RAYS];
-    let (origin, dir) = object_rays(poses, tile);
-    place(&origin, &dir, tile, &mut out.pos);
-    geometry_forward::<R, FMA>(model, tile.lanes, &out.pos, scratch);
-    sdf_losses(tile, scratch, &mut out.losses);
-    if tile.has_color {
+pub(crate) struct RunTile<'a, R> {
+    pub(crate) model: &'a Model<'a, R>,
+    pub(crate) poses: &'a [RayPose<R>],
+    pub(crate) tile: &'a Tile<R>,
+    pub(crate) scratch: &'a mut Scratch<R>,
+    pub(crate) out: &'a mut TileGradient<R>,
+    pub(crate) grad: &'a mut [R],
+}
+
+impl<R: Real> Kernel for RunTile<'_, R> {
+    #[inline(always)]
+    fn run<I: Isa>(self) {
+        let Self { model, poses, tile, scratch, out, grad } = self;
+        let lanes = tile.lanes;
+        out.frame = tile.frame;
+        out.has_eikonal = tile.has_eikonal;
+        out.losses = [R::ZERO; loss::COUNT];
+        out.twist = [[R::ZERO; 6]; RAYS];
+        let (origin, dir) = object_rays(poses, tile);
+        place(&origin, &dir, tile, &mut out.pos);
+        scratch.sums.clear();
+        scratch.clock.start();
+        for panel in Panel::all(lanes, tile.central) {
+            encode::<R, I, true>(model, (&out.pos, lanes), panel, scratch);
+        }
+        scratch.clock.lap(Stage::Encode);
+        for panel in Panel::all(lanes, tile.central) {
+            hidden_layer::<R, I>(model, panel, scratch);
+        }
+        sdf_losses(tile, scratch, &mut out.losses);
         scratch.clock.lap(Stage::Geometry);
-        color_pass::<R, FMA>(model, tile, &dir, scratch, out, grad);
-        scratch.clock.lap(Stage::Color);
-    }
-    geometry_backward::<R, FMA>(model, tile, scratch, out, grad);
-    position_gradient(tile.lanes, model.grid.width(), scratch, &out.enc);
-    if tile.has_eikonal {
+        if tile.has_color {
+            color_pass::<R, I>(model, tile, &dir, scratch, out, grad);
+            scratch.clock.lap(Stage::Color);
+        }
+        for panel in Panel::all(lanes, tile.central) {
+            geometry_backward::<R, I>(model, tile, panel, scratch, out, grad);
+        }
+        finish_geometry(model, tile, scratch, grad);
+        if tile.has_eikonal {
+            scratch.clock.lap(Stage::Backward);
+            eikonal_pass::<R, I>(model, tile, scratch, out, grad);
+            scratch.clock.lap(Stage::Eikonal);
+        }
+        pose_gradient(tile, scratch, out);
         scratch.clock.lap(Stage::Backward);
-        eikonal_pass::<R, FMA>(model, tile, scratch, out, grad);
-        scratch.clock.lap(Stage::Eikonal);
     }
-    pose_gradient(tile, scratch, out);
-    scratch.clock.lap(Stage::Backward);
 }
 
 /// Ray origins and directions about the volume's centre, in edges.
@@ -69,49 +88,66 @@ fn place<R: Real>(origin: &[[R; 3]; RAYS], dir: &[[R; 3]; RAYS], tile: &Tile<R>,
     }
 }
 
-/// Encoding, hidden layer and signed distance of `lanes` points.
+/// Encoding of a panel of the points `pos[axis * lanes + lane]`, with its derivatives if `SLOPES`.
 #[inline(always)]
-pub(crate) fn geometry_forward<R: Real, const FMA: bool>(
+pub(crate) fn encode<R: Real, I: Isa, const SLOPES: bool>(
     model: &Model<'_, R>,
-    lanes: usize,
-    pos: &[R],
+    pos: (&[R], usize),
+    panel: Panel,
     s: &mut Scratch<R>,
 ) {
+    let e = model.networks.encoding();
+    let (enc, jac) = (&mut s.enc[panel.of(e)], &mut s.jac[panel.of(3 * e)]);
+    I::call(Encode::<R, SLOPES> { grid: model.grid, pos, panel, enc, jac });
+}
+
+/// From a panel's encoding to its hidden layer and distances.
+#[inline(always)]
+pub(crate) fn hidden_layer<R: Real, I: Isa>(model: &Model<'_, R>, panel: Panel, s: &mut Scratch<R>) {
     let n = model.networks;
-    s.clock.start();
-    model.grid.encode(pos, lanes, &mut s.enc, &mut s.jac);
-    // The padding must be zero, and a tile of another size may have left something there.
-    s.enc[model.grid.width() * lanes..n.encoding() * lanes].fill(R::ZERO);
-    s.clock.lap(Stage::Encode);
-    layer_forward::<R, FMA>(&n.geometry[0], model.weights, (&s.enc, lanes), (&mut s.hidden, lanes), true);
-    let [_, last] = n.geometry;
-    s.sdf[..lanes].fill(model.weights[last.bias().start]);
-    let row = &model.weights[last.weights()][..last.inputs];
-    gemm_add::<R, FMA, false>(
-        (1, lanes, last.inputs),
-        (row, last.inputs),
-        (&s.hidden, lanes),
-        (&mut s.sdf, lanes),
+    let ([first, last], (flipped, _)) = (n.geometry, n.flipped());
+    let (e, h, width) = (first.inputs, first.outputs, panel.width);
+    let sdf = &mut s.sdf[panel.lanes(0, 1)];
+    sdf.fill(model.weights[last.bias().start]);
+    product::<R, I>(
+        (h, width, e),
+        Columns(&model.flipped[flipped.hidden], h),
+        (&s.enc[panel.of(e)], PANEL),
+        &mut Hidden {
+            bias: &model.weights[first.bias()],
+            head: &model.weights[last.weights()][..h],
+            hidden: &mut s.hidden[panel.of(h)],
+            sdf,
+        },
     );
 }
 
-#[inline(always)]
-pub(crate) fn layer_forward<R: Real, const FMA: bool>(
-    layer: &Layer,
-    weights: &[R],
-    (x, ldx): (&[R], usize),
-    (y, lanes): (&mut [R], usize),
-    relu: bool,
-) {
-    for (row, b) in y.chunks_exact_mut(lanes).zip(&weights[layer.bias()]) {
-        row.fill(*b);
+/// The hidden layer after its ReLU, and what it adds to the distance.
+struct Hidden<'a, R> {
+    bias: &'a [R],
+    head: &'a [R],
+    hidden: &'a mut [R],
+    sdf: &'a mut [R],
+}
+
+impl<R: Real> Target<R> for Hidden<'_, R> {
+    #[inline(always)]
+    fn start<V: Lanes<R>, const N: usize>(&self, (i, _): (usize, usize)) -> [V; N] {
+        [V::splat(self.bias[i]); N]
     }
-    let w = (&weights[layer.weights()], layer.inputs);
-    gemm_add::<R, FMA, false>((layer.outputs, lanes, layer.inputs), w, (x, ldx), (&mut *y, lanes));
-    if relu {
-        for v in &mut y[..layer.outputs * lanes] {
-            *v = v.positive();
+
+    #[inline(always)]
+    fn finish<V: Lanes<R>, const N: usize>(&mut self, (i, j): (usize, usize), sums: &[[V; N]]) {
+        let mut sdf: [V; N] = load_row(self.sdf, j);
+        for (r, (sums, head)) in sums.iter().zip(&self.head[i..]).enumerate() {
+            let (mut y, head) = (*sums, V::splat(*head));
+            for v in 0..N {
+                y[v] = y[v].positive();
+                sdf[v] = head.madd(y[v], sdf[v]);
+            }
+            store_row(&y, self.hidden, (i + r) * PANEL + j);
         }
+        store_row(&sdf, self.sdf, j);
     }
 }
 
@@ -133,109 +169,162 @@ fn sdf_losses<R: Real>(tile: &Tile<R>, s: &mut Scratch<R>, losses: &mut [R; loss
     losses[..3].copy_from_slice(&sums);
 }
 
-/// Given the gradient `dy` of a layer's outputs and its input `x`: adds the weight and bias gradients, overwrites
-/// `dx` with the gradient of the input.
+/// Gradients of a panel's geometry network: of its weights, in `grad` and the tile's sums, of its encoding, and by
+/// position.
 #[inline(always)]
-pub(crate) fn layer_backward<R: Real, const FMA: bool>(
-    layer: &Layer,
-    weights: &[R],
-    (dy, x): (&[R], &[R]),
-    dx: &mut [R],
-    lanes: usize,
-    transposed: &mut [R],
-    grad: &mut [R],
-) {
-    let (m, k) = (layer.outputs, layer.inputs);
-    transpose(x, lanes, k, lanes, transposed);
-    gemm_add::<R, FMA, false>((m, k, lanes), (dy, lanes), (transposed, k), (&mut grad[layer.weights()], k));
-    for (row, b) in dy.chunks_exact(lanes).zip(&mut grad[layer.bias()]) {
-        *b += sum(row);
-    }
-    dx[..k * lanes].fill(R::ZERO);
-    gemm_add::<R, FMA, true>((k, lanes, m), (&weights[layer.weights()], k), (dy, lanes), (dx, lanes));
-}
-
-/// Zeroes the gradient where the ReLU's output is zero.
-#[inline(always)]
-pub(crate) fn mask<R: Real>(d: &mut [R], y: &[R]) {
-    for (d, y) in d.iter_mut().zip(y) {
-        *d = y.gate(*d);
-    }
-}
-
-#[inline(always)]
-fn geometry_backward<R: Real, const FMA: bool>(
+fn geometry_backward<R: Real, I: Isa>(
     model: &Model<'_, R>,
     tile: &Tile<R>,
+    panel: Panel,
     s: &mut Scratch<R>,
     out: &mut TileGradient<R>,
     grad: &mut [R],
 ) {
-    let (n, lanes, central) = (model.networks, tile.lanes, tile.central);
+    let (n, width) = (model.networks, panel.width);
     let [first, last] = n.geometry;
-    let (k, from) = (last.inputs, lanes - central);
+    let (e, h) = (first.inputs, first.outputs);
+    // The features' share, on the central lanes only.
+    let from = tile.lanes - tile.central;
+    let features = if tile.has_color && panel.start >= from { n.features } else { 0 };
+    if features > 0 {
+        let stride = n.color_stride();
+        let rows = &s.d_color_in[panel.lanes(from, stride)];
+        to_columns::<R, I>((rows, stride), (n.padded_features(), width), (&mut s.panel.d_features, PANEL));
+        product::<R, I>(
+            (h, n.padded_features(), width),
+            Rows::<R, PANEL>(&s.hidden[panel.of(h)]),
+            (rows, stride),
+            &mut Add { c: &mut s.sums.features, ld: n.padded_features() },
+        );
+    }
     let w_last = &model.weights[last.weights()];
-    for ((dh, h), w) in s.d_hidden.chunks_exact_mut(lanes).zip(s.hidden.chunks_exact(lanes)).zip(&w_last[..k])
-    {
-        for ((d, h), ds) in dh.iter_mut().zip(h).zip(&s.d_sdf[..lanes]) {
-            *d = h.gate(*w * *ds);
-        }
-    }
-    let g_last = &mut grad[last.weights()];
-    for (g, h) in g_last[..k].iter_mut().zip(s.hidden.chunks_exact(lanes)) {
-        *g += dot::<R, FMA>(h, &s.d_sdf[..lanes]);
-    }
-    if tile.has_color {
-        // The features' share, on the central lanes only.
-        let d_features = &s.d_color_in[..n.features * central];
-        transpose(&s.hidden[from..], lanes, k, central, &mut s.transposed);
-        gemm_add::<R, FMA, false>(
-            (n.features, k, central),
-            (d_features, central),
-            (&s.transposed, k),
-            (&mut g_last[k..], k),
-        );
-        s.masked[..k * central].fill(R::ZERO);
-        gemm_add::<R, FMA, true>(
-            (k, central, n.features),
-            (&w_last[k..], k),
-            (d_features, central),
-            (&mut s.masked, central),
-        );
-        for (j, add) in s.masked.chunks_exact(central).take(k).enumerate() {
-            let at = j * lanes + from;
-            for ((d, h), a) in
-                s.d_hidden[at..at + central].iter_mut().zip(&s.hidden[at..at + central]).zip(add)
-            {
-                *d += h.gate(*a);
-            }
-        }
-        for (row, b) in d_features.chunks_exact(central).zip(&mut grad[last.bias()][1..]) {
-            *b += sum(row);
-        }
-    }
-    grad[last.bias().start] += sum(&s.d_sdf[..lanes]);
-    layer_backward::<R, FMA>(
-        &first,
-        model.weights,
-        (&s.d_hidden[..first.outputs * lanes], &s.enc),
-        &mut out.enc,
-        lanes,
-        &mut s.transposed,
-        grad,
+    product::<R, I>(
+        (h, width, features),
+        Columns(&w_last[h..], h),
+        (&s.panel.d_features, PANEL),
+        &mut HiddenGradient {
+            head: &w_last[..h],
+            d_sdf: &s.d_sdf[panel.lanes(0, 1)],
+            hidden: &s.hidden[panel.of(h)],
+            d_hidden: &mut s.panel.d_hidden,
+            bias_sums: &mut s.sums.bias,
+            head_sums: &mut s.sums.head,
+        },
+    );
+    to_rows::<R, I>((&s.enc[panel.of(e)], PANEL), (e, width), (&mut s.panel.rows, e));
+    product::<R, I>(
+        (h, e, width),
+        Rows::<R, PANEL>(&s.panel.d_hidden),
+        (&s.panel.rows, e),
+        &mut Add { c: &mut grad[first.weights()], ld: e },
+    );
+    product::<R, I>(
+        (e, width, h),
+        Columns(&model.weights[first.weights()], e),
+        (&s.panel.d_hidden, PANEL),
+        &mut Store { c: &mut out.enc[panel.start..], ld: tile.lanes },
+    );
+    through_jacobian::<R, I>(
+        (&s.jac[panel.of(3 * e)], width),
+        model.grid.width(),
+        (&out.enc[panel.start..], tile.lanes),
+        (&mut s.d_pos[panel.start..], tile.lanes),
     );
 }
 
-/// Gradient by position: the encoding's gradient through its Jacobian.
-#[inline(always)]
-pub(crate) fn position_gradient<R: Real>(lanes: usize, width: usize, s: &mut Scratch<R>, d_enc: &[R]) {
-    for (a, row) in s.d_pos.chunks_exact_mut(lanes).take(3).enumerate() {
-        row.fill(R::ZERO);
-        for f in 0..width {
-            let (d, j) = (&d_enc[f * lanes..][..lanes], &s.jac[(f * 3 + a) * lanes..][..lanes]);
-            for ((p, d), j) in row.iter_mut().zip(d).zip(j) {
-                *p += *d * *j;
+/// The hidden layer's gradient before its ReLU, from that of the distance and (in the product) of the features.
+struct HiddenGradient<'a, R> {
+    head: &'a [R],
+    d_sdf: &'a [R],
+    hidden: &'a [R],
+    d_hidden: &'a mut [R],
+    bias_sums: &'a mut [R],
+    head_sums: &'a mut [R],
+}
+
+impl<R: Real> Target<R> for HiddenGradient<'_, R> {
+    #[inline(always)]
+    fn start<V: Lanes<R>, const N: usize>(&self, (i, j): (usize, usize)) -> [V; N] {
+        let (head, mut sums) = (V::splat(self.head[i]), load_row::<R, V, N>(self.d_sdf, j));
+        for sum in &mut sums {
+            *sum = head.mul(*sum);
+        }
+        sums
+    }
+
+    #[inline(always)]
+    fn finish<V: Lanes<R>, const N: usize>(&mut self, (i, j): (usize, usize), sums: &[[V; N]]) {
+        let d_sdf: [V; N] = load_row(self.d_sdf, j);
+        for (r, sums) in sums.iter().enumerate() {
+            let at = (i + r) * PANEL + j;
+            let hidden: [V; N] = load_row(self.hidden, at);
+            let (mut d, mut bias, mut head) = (*sums, V::splat(R::ZERO), V::splat(R::ZERO));
+            for v in 0..N {
+                d[v] = hidden[v].gate(d[v]);
+                bias = bias.add(d[v]);
+                head = hidden[v].madd(d_sdf[v], head);
             }
+            store_row(&d, self.d_hidden, at);
+            add_eights(self.bias_sums, i + r, bias);
+            add_eights(self.head_sums, i + r, head);
+        }
+    }
+}
+
+/// Adds a vector to the `unit`-th eight partial sums.
+#[inline(always)]
+fn add_eights<R: Real, V: Lanes<R>>(sums: &mut [R], unit: usize, v: V) {
+    V::Eight::load(sums, 8 * unit).add(v.eight()).store(sums, 8 * unit);
+}
+
+/// Adds the sums over a tile's panels to the gradient of the geometry network.
+#[inline(always)]
+fn finish_geometry<R: Real>(model: &Model<'_, R>, tile: &Tile<R>, s: &mut Scratch<R>, grad: &mut [R]) {
+    let n = model.networks;
+    let [first, last] = n.geometry;
+    let (h, padded) = (first.outputs, n.padded_features());
+    for (g, sums) in grad[first.bias()].iter_mut().zip(s.sums.bias.chunks_exact(8)) {
+        *g += sum(sums);
+    }
+    let g_last = &mut grad[last.weights()];
+    for (g, sums) in g_last[..h].iter_mut().zip(s.sums.head.chunks_exact(8)) {
+        *g += sum(sums);
+    }
+    if tile.has_color {
+        for (f, row) in g_last[h..].chunks_exact_mut(h).enumerate() {
+            for (g, sums) in row.iter_mut().zip(s.sums.features.chunks_exact(padded)) {
+                *g += sums[f];
+            }
+        }
+        let bias = &mut grad[last.bias()][1..];
+        for row in s.d_color_in[..n.color_stride() * tile.central].chunks_exact(n.color_stride()) {
+            for (g, d) in bias.iter_mut().zip(row) {
+                *g += *d;
+            }
+        }
+    }
+    grad[last.bias().start] += sum(&s.d_sdf[..tile.lanes]);
+}
+
+/// Gradients by position, `[axis][lane]`, of a panel's encoding: its gradients `[feature][lane]` through its Jacobian. All
+/// slices start at the panel; a row of the Jacobian is one of a panel.
+#[inline(always)]
+pub(crate) fn through_jacobian<R: Real, I: Isa>(
+    (jac, width): (&[R], usize),
+    features: usize,
+    (d_enc, stride): (&[R], usize),
+    (d_pos, lanes): (&mut [R], usize),
+) {
+    for start in (0..width).step_by(<R::V<I>>::N) {
+        let mut d_p = [<R::V<I>>::splat(R::ZERO); 3];
+        for f in 0..features {
+            let d = <R::V<I>>::load(d_enc, f * stride + start);
+            for (a, d_p) in d_p.iter_mut().enumerate() {
+                *d_p = d.madd(<R::V<I>>::load(jac, (f * 3 + a) * PANEL + start), *d_p);
+            }
+        }
+        for (a, d_p) in d_p.iter().enumerate() {
+            d_p.store(d_pos, a * lanes + start);
         }
     }
 }
@@ -244,14 +333,26 @@ pub(crate) fn position_gradient<R: Real>(lanes: usize, width: usize, s: &mut Scr
 #[inline(always)]
 fn pose_gradient<R: Real>(tile: &Tile<R>, s: &Scratch<R>, out: &mut TileGradient<R>) {
     let n = tile.lanes;
-    for l in 0..n {
-        let p = [0, 1, 2].map(|a| out.pos[a * n + l] - R::of(0.5));
-        let d = [0, 1, 2].map(|a| s.d_pos[a * n + l]);
-        let torque = cross(p, d);
-        let twist = &mut out.twist[l % RAYS];
+    let mut twist = [[R::ZERO; RAYS]; 6];
+    for start in (0..n).step_by(RAYS) {
+        let (mut p, mut d) = ([[R::ZERO; RAYS]; 3], [[R::ZERO; RAYS]; 3]);
         for a in 0..3 {
-            twist[a] += d[a];
-            twist[3 + a] += torque[a];
+            p[a] = load(&out.pos, a * n + start);
+            d[a] = load(&s.d_pos, a * n + start);
+            for r in 0..RAYS {
+                p[a][r] = p[a][r] - R::of(0.5);
+                twist[a][r] += d[a][r];
+            }
+        }
+        for r in 0..RAYS {
+            twist[3][r] += p[1][r] * d[2][r] - p[2][r] * d[1][r];
+            twist[4][r] += p[2][r] * d[0][r] - p[0][r] * d[2][r];
+            twist[5][r] += p[0][r] * d[1][r] - p[1][r] * d[0][r];
+        }
+    }
+    for r in 0..RAYS {
+        for a in 0..6 {
+            out.twist[r][a] += twist[a][r];
         }
     }
 }

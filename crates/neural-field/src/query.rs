@@ -1,71 +1,69 @@
 //! Evaluation of a trained field at arbitrary points, in blocks of lanes.
 
-use crate::color::color_forward;
-use crate::gemm::gemm_add;
+use crate::color::{color_features, color_forward};
+use crate::eikonal::{slope_factors, slope_weights};
 use crate::harmonics::{self, harmonics};
-use crate::pass::{geometry_forward, position_gradient};
-use crate::real::Real;
-use crate::tile::{Model, Scratch};
+use crate::pass::{encode, hidden_layer, through_jacobian};
+use crate::real::{Isa, Kernel, Real};
+use crate::tile::{Aligned, Model, PANEL, Panel, Scratch};
 
-/// Distances, and on request slopes (per edge of the cube), of `lanes` points in `pos[axis][lane]`.
-#[inline(always)]
-pub(crate) fn query<R: Real, const FMA: bool>(
-    model: &Model<'_, R>,
-    lanes: usize,
-    pos: &[R],
-    s: &mut Scratch<R>,
-    slopes: bool,
-) {
-    geometry_forward::<R, FMA>(model, lanes, pos, s);
-    if !slopes {
-        return;
-    }
-    let [first, last] = model.networks.geometry;
-    let w2 = &model.weights[last.weights()][..first.outputs];
-    for ((m, y), w) in s.d_hidden.chunks_exact_mut(lanes).zip(s.hidden.chunks_exact(lanes)).zip(w2) {
-        for (m, y) in m.iter_mut().zip(y) {
-            *m = y.gate(*w);
-        }
-    }
-    s.q[..first.inputs * lanes].fill(R::ZERO);
-    let w1 = (&model.weights[first.weights()], first.inputs);
-    gemm_add::<R, FMA, true>(
-        (first.inputs, lanes, first.outputs),
-        w1,
-        (&s.d_hidden, lanes),
-        (&mut s.q, lanes),
-    );
-    let v = std::mem::take(&mut s.q);
-    position_gradient(lanes, model.grid.width(), s, &v);
-    s.q = v;
+/// Distances of `lanes` points in `pos[axis][lane]`, and slopes (per edge of the cube) if `SLOPES`.
+pub(crate) struct Query<'a, R, const SLOPES: bool> {
+    pub(crate) model: &'a Model<'a, R>,
+    pub(crate) lanes: usize,
+    pub(crate) pos: &'a [R],
+    pub(crate) scratch: &'a mut Scratch<R>,
 }
 
-/// Colours of `lanes` points seen along the unit directions `dirs[lane]`; [`query`] must have run on them.
-#[inline(always)]
-pub(crate) fn query_color<R: Real, const FMA: bool>(
-    model: &Model<'_, R>,
-    lanes: usize,
-    dirs: &[[R; 3]],
-    s: &mut Scratch<R>,
-) {
-    let (n, w) = (model.networks, model.weights);
-    let last = n.geometry[1];
-    for (row, b) in s.color_in.chunks_exact_mut(lanes).zip(&w[last.bias()][1..]) {
-        row.fill(*b);
-    }
-    gemm_add::<R, FMA, false>(
-        (n.features, lanes, last.inputs),
-        (&w[last.weights()][last.inputs..], last.inputs),
-        (&s.hidden, lanes),
-        (&mut s.color_in, lanes),
-    );
-    for (l, d) in dirs.iter().take(lanes).enumerate() {
-        for (k, v) in harmonics(*d).0.into_iter().enumerate() {
-            s.color_in[(n.features + k) * lanes + l] = v;
+impl<R: Real, const SLOPES: bool> Kernel for Query<'_, R, SLOPES> {
+    #[inline(always)]
+    fn run<I: Isa>(self) {
+        let Self { model, lanes, pos, scratch: s } = self;
+        let e = model.networks.encoding();
+        if SLOPES {
+            slope_weights(model, &mut s.slope_weights);
+        }
+        for panel in Panel::all(lanes, lanes) {
+            encode::<R, I, SLOPES>(model, (pos, lanes), panel, s);
+            hidden_layer::<R, I>(model, panel, s);
+            if SLOPES {
+                let mut v = std::mem::replace(&mut s.panel.columns, Aligned::zeros(0));
+                slope_factors::<R, I>(model, panel, s, (&mut v, PANEL));
+                through_jacobian::<R, I>(
+                    (&s.jac[panel.of(3 * e)], panel.width),
+                    model.grid.width(),
+                    (&v, PANEL),
+                    (&mut s.d_pos[panel.start..], lanes),
+                );
+                s.panel.columns = v;
+            }
         }
     }
-    for (k, code) in w[n.codes.neutral()].iter().enumerate() {
-        s.color_in[(n.features + harmonics::COUNT + k) * lanes..][..lanes].fill(*code);
+}
+
+/// Colours of `lanes` points seen along the unit directions `dirs[lane]`; [`Query`] must have run on them.
+pub(crate) struct QueryColor<'a, R> {
+    pub(crate) model: &'a Model<'a, R>,
+    pub(crate) lanes: usize,
+    pub(crate) dirs: &'a [[R; 3]],
+    pub(crate) scratch: &'a mut Scratch<R>,
+}
+
+impl<R: Real> Kernel for QueryColor<'_, R> {
+    #[inline(always)]
+    fn run<I: Isa>(self) {
+        let Self { model, lanes, dirs, scratch: s } = self;
+        let (n, w) = (model.networks, model.weights);
+        let stride = n.color_stride();
+        for panel in Panel::all(lanes, lanes) {
+            color_features::<R, I>(model, panel, 0, s);
+            let rows = s.color_in[panel.lanes(0, stride)].chunks_exact_mut(stride);
+            for (row, d) in rows.zip(&dirs[panel.start..]) {
+                let (bands, code) = row[n.features..].split_at_mut(harmonics::COUNT);
+                bands.copy_from_slice(&harmonics(*d).0);
+                code[..n.codes.size].copy_from_slice(&w[n.codes.neutral()]);
+            }
+            color_forward::<R, I>(model, panel, 0, s);
+        }
     }
-    color_forward::<R, FMA>(n, w, lanes, s);
 }

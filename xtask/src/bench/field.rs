@@ -32,7 +32,10 @@ pub(crate) struct FieldArgs {
 struct Row {
     config: &'static str,
     threads: usize,
+    /// Time of day; grows with whatever else the machine does.
     step_s: f64,
+    /// Processor time of the kernels, all threads in sum.
+    step_cpu_s: f64,
     round_steps: usize,
     round_s: f64,
     samples_per_s: f64,
@@ -170,6 +173,7 @@ fn row(
         config: name,
         threads,
         step_s,
+        step_cpu_s: all / profile.steps as f64,
         round_steps: config.steps,
         round_s: step_s * config.steps as f64,
         samples_per_s: profile.samples as f64 / step_s,
@@ -204,10 +208,11 @@ fn peer_step(peer: &PeerArgs, mode: &str, config: &FieldConfig, threads: usize) 
 
 fn print_row(row: &Row) {
     println!(
-        "{} on {} threads: {:.2} ms/step, {:.1} s for a round of {} steps, {:.2} M samples/s",
+        "{} on {} threads: {:.2} ms/step ({:.2} of processor time), {:.1} s for a round of {} steps, {:.2} M samples/s",
         row.config,
         row.threads,
         1e3 * row.step_s,
+        1e3 * row.step_cpu_s,
         row.round_s,
         row.round_steps,
         row.samples_per_s / 1e6

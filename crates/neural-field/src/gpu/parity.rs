@@ -9,13 +9,15 @@ mod scene;
 use super::device::Gpu;
 use super::round::GpuRound;
 use crate::cpu::CpuRound;
-use crate::engine::scatter_tile;
 use crate::error::FieldError;
+use crate::pass::RunTile;
 use crate::round::Engine;
 use crate::sampler::Buffers;
-use crate::tile::{Model, RAYS, Scratch, Tile, TileGradient};
+use crate::scatter::{Scatter, Vertices};
+use crate::simd::Set;
+use crate::tile::{RAYS, Scratch, Tile, TileGradient};
 use crate::train::{Control, StepLosses};
-use crate::{Device, FieldConfig, FieldImages, simd};
+use crate::{Device, FieldConfig, FieldImages};
 use nalgebra::{Isometry3, Vector6};
 use scene::{Shape, perturb, views};
 use std::io::Write;
@@ -109,10 +111,8 @@ fn cpu_gradients(cpu: &CpuRound, step: usize) -> Gradients {
     let (round, engine) = (&cpu.round, &cpu.engine);
     let sampler = &round.sampler;
     let poses = round.corrections.ray_poses::<f32>();
-    let truncation = (round.config.truncation / sampler.volume().edge) as f32;
-    let model =
-        Model { grid: &engine.grid, networks: &engine.networks, weights: &engine.weights, truncation };
-    let mut states: Vec<_> = engine.grid.levels.iter().map(|l| crate::adam::LevelState::new(l.len)).collect();
+    let model = engine.model();
+    let mut grid: Vec<_> = engine.grid.tables.iter().map(|t| vec![0.0; t.len()]).collect();
     let mut weights = vec![0.0; engine.networks.len];
     let mut twists = vec![Vector6::zeros(); round.frames.len()];
     let mut losses = [0.0; 5];
@@ -130,21 +130,24 @@ fn cpu_gradients(cpu: &CpuRound, step: usize) -> Gradients {
         }
         let mut scratch = Scratch::new(lanes, central, &engine.networks);
         let mut out = TileGradient::new(lanes, central, &engine.networks);
-        simd::run_tile(&model, &poses, &tile, &mut scratch, &mut out, &mut weights);
+        let (model, poses, tile, scratch) = (&model, &poses, &tile, &mut scratch);
+        Set::best().call(RunTile { model, poses, tile, scratch, out: &mut out, grad: &mut weights });
         for r in 0..RAYS {
             twists[out.frame[r]] += Vector6::from(out.twist[r].map(f64::from));
         }
         for (sum, l) in losses.iter_mut().zip(out.losses) {
             *sum += l;
         }
-        for (l, (level, state)) in engine.grid.levels.iter().zip(&mut states).enumerate() {
-            scatter_tile(level, l, &out, state);
+        for (l, (level, grad)) in engine.grid.levels.iter().zip(&mut grid).enumerate() {
+            let mut touched = vec![0; level.len];
+            let mut to = Vertices { first: 0, grad, touched: &mut touched };
+            Set::best().call(Scatter { level, l, tile: &out, to: &mut to });
         }
     }
     let theta = (0..twists.len())
         .flat_map(|f| <[f64; 6]>::from(round.corrections.theta_gradient(f, &twists[f])))
         .map(|v| v as f32);
-    Gradients { grid: states.into_iter().map(|s| s.grad).collect(), weights, theta: theta.collect(), losses }
+    Gradients { grid, weights, theta: theta.collect(), losses }
 }
 
 fn gpu_gradients(gpu: &GpuRound, step: usize) -> Gradients {
