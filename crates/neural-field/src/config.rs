@@ -185,7 +185,7 @@ impl FieldConfig {
             eikonal_every: 2,
             learning_rate: 0.01,
             pose_learning_rate: 0.03,
-            pose_start: 0.2,
+            pose_start: 0.05,
             pose_end: 0.85,
             decay: 0.1,
             max_translation: 0.02,

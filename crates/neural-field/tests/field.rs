@@ -3,7 +3,7 @@
 
 mod scene;
 
-use nalgebra::{Isometry3, Translation3};
+use nalgebra::{Isometry3, Point3, Translation3};
 use neural_field::{Control, FieldConfig, FieldError, FieldImages, LossWeights, TrainedField, train};
 use scene::{Shape, noisy_views, paint, perturb, pose_errors, sdf_errors, views};
 use std::sync::Arc;
@@ -39,6 +39,26 @@ fn distances_are_right_around_a_sphere_and_a_box() {
         assert_eq!(field.poses(), poses);
         assert!(field.frame_residuals().iter().all(|r| *r < 1e-3));
     }
+}
+
+#[test]
+fn the_surface_runs_through_the_middle_of_the_depth_points() {
+    let (frames, poses) = noisy_views(&BOX, 12, 80, 0.002);
+    let field = run(&small(), &frames, &poses);
+    let mut points = Vec::new();
+    for (frame, pose) in frames.iter().zip(field.poses()) {
+        for i in (0..frame.depth.len()).filter(|i| frame.mask[*i] != 0 && frame.depth[*i] > 0.0) {
+            let (u, v, z) = ((i % frame.width) as f64, (i / frame.width) as f64, f64::from(frame.depth[i]));
+            let p = pose * Point3::new((u - frame.cx) / frame.fx * z, (v - frame.cy) / frame.fy * z, z);
+            points.push(p.coords.map(|c| c as f32).into());
+        }
+    }
+    let mut sdf = vec![0.0; points.len()];
+    field.sdf(&points, &mut sdf);
+    let mut sdf: Vec<f64> = sdf.into_iter().filter(|v| v.is_finite()).map(f64::from).collect();
+    sdf.sort_by(f64::total_cmp);
+    println!("middle {:.3} mm of {} points", 1e3 * median(&sdf), sdf.len());
+    assert!(median(&sdf).abs() < 5e-5);
 }
 
 #[test]

@@ -4,7 +4,7 @@
 mod common;
 
 use common::{disturb, error, gradient, in_camera, node, orbit, rng, unit};
-use nalgebra::Vector3;
+use nalgebra::{Matrix6, Vector3, Vector6};
 use posegraph::{PoseGraph, SdfModel, SdfTerm, SolveOptions, solve};
 
 struct Shape {
@@ -112,6 +112,29 @@ impl SdfModel for Unknown {
         sdf.fill(f32::NAN);
         gradient.fill([f32::INFINITY; 3]);
     }
+}
+
+#[test]
+fn information_is_the_curvature_of_the_cost() {
+    let truth = orbit(0.5, 0.3, 0.2);
+    let model = Shape { distance: both, band: 0.1 };
+    let points: Vec<_> = surface(both, 600, 3).iter().map(|x| in_camera(&truth, x)).collect();
+    let options = SolveOptions::default();
+    let term = SdfTerm { node: 0, points: points.clone(), model: &model };
+    let information = term.information(&truth, &options);
+    let mut rng = rng(32);
+    for _ in 0..10 {
+        let (slide, turn) = (unit(&mut rng) * 2e-4, unit(&mut rng) * 2e-3);
+        let xi = Vector6::from_iterator(slide.iter().chain(turn.iter()).copied());
+        let mut graph = PoseGraph::new();
+        let n = graph.add_node(node(se3_lie::se3::exp(&xi) * truth, false));
+        graph.add_sdf_term(SdfTerm { node: n, points: points.clone(), model: &model }).unwrap();
+        let cost = solve(&graph, &options).unwrap().cost_initial;
+        let expected = 0.5 * xi.dot(&(information * xi));
+        assert!((cost - expected).abs() < 0.03 * expected, "{cost} {expected}");
+    }
+    let unknown = SdfTerm { node: 0, points, model: &Unknown };
+    assert_eq!(unknown.information(&truth, &options), Matrix6::zeros());
 }
 
 #[test]

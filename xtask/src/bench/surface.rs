@@ -191,9 +191,12 @@ fn measure(
         "release" => FieldConfig::release(),
         other => anyhow::bail!("no settings {other}: there are realtime, refine, paper, release"),
     };
+    // As the tracker and the refinement have it.
     if matches!(settings, "realtime" | "refine") {
-        // As the tracker and the refinement have it.
         config.color_start = config.pose_end;
+    }
+    if settings == "realtime" {
+        config.pose_start = 0.2;
     }
     config.steps = args.steps.unwrap_or(config.steps);
     if args.fixed {

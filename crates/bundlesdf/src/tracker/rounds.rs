@@ -186,6 +186,8 @@ pub(super) fn field_config(config: &Config, steps: usize) -> FieldConfig {
         // Colour follows light that moves against the object, and draws the poses after it. The matches of the pose graph
         // know more of it; here it is for the mesh, once the poses rest.
         color_start: base.pose_end,
+        // Matches have placed the keyframes to millimetres: the field has a surface before it moves them.
+        pose_start: 0.2,
         ..base
     }
 }
