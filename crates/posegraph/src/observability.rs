@@ -128,6 +128,16 @@ impl Observability {
         length.is_finite().then(|| offset * (longest / length.max(longest)))
     }
 
+    /// The information on the twist that exceeds what noise gives.
+    pub(crate) fn beyond_noise(&self) -> Matrix6<f64> {
+        let inverse = Extent { centre: self.centre, radius: self.radius }.inverse_basis();
+        let part = |d: &Direction| {
+            let along = inverse.transpose() * (inverse * d.twist);
+            along * along.transpose() * (d.information - self.floor).max(0.0)
+        };
+        self.directions.iter().map(part).sum()
+    }
+
     /// Information of a prior on the twist that makes the data count as far as it is believed; `None` if all is.
     pub(crate) fn hold(&self) -> Option<Matrix6<f64>> {
         let inverse = Extent { centre: self.centre, radius: self.radius }.inverse_basis();

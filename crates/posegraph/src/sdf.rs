@@ -5,9 +5,9 @@ use nalgebra::{Isometry3, Matrix6, Vector6};
 use crate::graph::{SdfModel, SdfTerm};
 use crate::jacobian::{RowSums, direction_row, huber};
 use crate::normal::NormalEquations;
-use crate::observability::noise_information;
+use crate::observability::{Observability, noise_information};
 use crate::options::SolveOptions;
-use crate::stats::Residuals;
+use crate::stats::{Extent, Residuals};
 use crate::transform::{Rigid, is_finite, narrow, widen};
 
 /// Variance of a model's gradient in one tangential direction, radians squared: a model that was learnt from noisy
@@ -16,15 +16,25 @@ const GRADIENT_VARIANCE: f64 = 0.004;
 
 impl SdfTerm<'_> {
     /// Information about the node's pose that the term holds at `obj_from_cam`, as a [`PosePrior`](crate::PosePrior) has
-    /// it: of `[rho; phi]`, units 1/m^2 and 1/rad^2. Zero where the model is unknown.
+    /// it: of `[rho; phi]`, units 1/m^2 and 1/rad^2. Zero where the model is unknown, and along motions of which noise in
+    /// its gradients could as well give all the information: a can's turn.
     ///
     /// A model that was trained on this very frame repeats what it was told: its residuals, which are its errors, are no
     /// measurement of the pose, and frames that follow them drift together. The pose at which the training left the frame
     /// is one, and this is how much it weighs.
     pub fn information(&self, obj_from_cam: &Isometry3<f64>, options: &SolveOptions) -> Matrix6<f64> {
         let mut unary = SdfUnary::new(self, options);
-        unary.sums(obj_from_cam).0 * unary.scale
+        let (h, _, _) = unary.sums(obj_from_cam);
+        let h = h * unary.scale;
+        let extent = Extent::of(unary.points.iter().copied()).moved(obj_from_cam);
+        let seen = Observability::new(self.node, &h, gradient_noise(&h), &extent);
+        seen.map_or_else(Matrix6::zeros, |seen| seen.beyond_noise())
     }
+}
+
+/// Information that noise in gradients gives to motions along the surface, in a term whose Hessian is `h`.
+fn gradient_noise(h: &Matrix6<f64>) -> f64 {
+    noise_information(h[(0, 0)] + h[(1, 1)] + h[(2, 2)], GRADIENT_VARIANCE)
 }
 
 /// The usable points of one SDF term and the model's answers at the last pose asked.
@@ -94,9 +104,9 @@ impl<'a> SdfUnary<'a> {
 
     pub(crate) fn linearise(&mut self, poses: &[Isometry3<f64>], normal: &mut NormalEquations) -> f64 {
         let (h, g, cost) = self.sums(&poses[self.node]);
-        normal.add(self.node, &(h * self.scale), &(g * self.scale));
-        let weight = self.scale * (h[(0, 0)] + h[(1, 1)] + h[(2, 2)]);
-        normal.add_noise(self.node, noise_information(weight, GRADIENT_VARIANCE));
+        let h = h * self.scale;
+        normal.add(self.node, &h, &(g * self.scale));
+        normal.add_noise(self.node, gradient_noise(&h));
         self.scale * cost
     }
 
