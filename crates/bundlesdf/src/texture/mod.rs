@@ -1,21 +1,20 @@
 //! A texture for a mesh from the frames that saw it.
 //!
 //! The mesh is unwrapped into an atlas. The light that falls on the object is estimated from how the views' colours
-//! change while it turns, and taken out. Every face takes its detail from the view that shows it best, corrected smoothly
-//! over the surface to the colours that all views agree on, so that no seam is left where the best view changes. What no
-//! view saw is filled from its surroundings.
+//! change while it turns, and taken out. Every texel mixes the views that show it about as well as the best one, with
+//! weights that change smoothly over the surface, so that no seam is left. What no view saw is filled from its
+//! surroundings.
 
 mod align;
 mod atlas;
+mod blend;
 mod color;
 mod fill;
-mod level;
 mod light;
 mod paint;
 mod polynomial;
 mod render;
 mod sample;
-mod select;
 mod still_light;
 mod view;
 
@@ -113,8 +112,6 @@ pub struct TextureStats {
     pub utilisation: f64,
     /// Share of the surface's texels whose colour comes from a view.
     pub observed: f64,
-    /// Faces whose detail comes from each view.
-    pub faces_per_view: Vec<usize>,
     /// Factors on red, green and blue that each view's colours were multiplied by.
     pub gains: Vec<[f32; 3]>,
     /// How far each view's pose was corrected (millimetres, at the object's middle).
@@ -125,11 +122,11 @@ pub struct TextureStats {
 ///
 /// The method: an atlas; the light as a spherical polynomial of the normal (after Basri and Jacobs, "Lambertian
 /// Reflectance and Linear Subspaces", PAMI 2003); a last photometric correction of the poses; visibility by a depth
-/// buffer of the mesh and the measured depth; per-view gains by least squares over what several views saw; the best view
-/// of each face by angle, resolution, sharpness, depth residual and distance from the mask's border, smoothed over
-/// neighbours (after Lempitsky and Ivanov, "Seamless Mosaicing of Image-Based Texture Maps", CVPR 2007); and for each view
-/// a smooth factor that levels it to the median of all. The result is the object's own colour up to one factor, as far as
-/// the object turned in the light: shading that every view shows stays.
+/// buffer of the mesh and the measured depth; per-view gains by least squares over what several views saw; and a mean of
+/// the views, weighted by angle, resolution, sharpness, depth residual and distance from the mask's border, in which views
+/// of other colours than most have no part (after Callieri et al., "Masked photo blending", Computers & Graphics 2008).
+/// The result is the object's own colour up to one factor, as far as the object turned in the light: shading that every
+/// view shows stays.
 ///
 /// # Errors
 /// When mesh, views or size can't be used, see [`TextureError`].
@@ -171,18 +168,14 @@ pub fn bake(mesh: &TriMesh, views: &[View], options: &TextureOptions) -> Result<
     color::apply(&mut sightings, &gains);
     color::drop_outliers(&mut sightings);
     let colors = color::vertex_colors(&mesh, &sightings);
-    level::level(&mesh, &mut sightings, &colors, views.len());
-    let labels = select::best_views(&mesh, &sightings);
     let scene = paint::Scene {
         mesh: &mesh,
         views: &prepared,
         sightings: &sightings,
-        weights: select::feathered(&mesh, &sightings, &labels),
+        weights: blend::weights(&sightings),
         fill: &colors,
     };
     let (texture, observed) = paint::paint(&scene, &layout, options.size);
-    let mut faces_per_view = vec![0; views.len()];
-    labels.iter().flatten().for_each(|&v| faces_per_view[v as usize] += 1);
     Ok(TexturedMesh {
         positions: layout.source.iter().map(|&i| mesh.vertices[i as usize]).collect(),
         normals: layout.source.iter().map(|&i| mesh.normals[i as usize]).collect(),
@@ -195,7 +188,6 @@ pub fn bake(mesh: &TriMesh, views: &[View], options: &TextureOptions) -> Result<
             charts: layout.charts,
             utilisation: layout.utilisation,
             observed,
-            faces_per_view,
             gains,
             shifts_mm,
         },
