@@ -193,8 +193,7 @@ impl Propagate {
                 weigh_space(&mut space, |i| view.in_view[i]);
                 space
             });
-            // Written so that a NaN is no confidence.
-            let confidence = prior.confidence.max(0.0).min(1.0);
+            let confidence = if prior.confidence.is_nan() { 0.0 } else { prior.confidence.clamp(0.0, 1.0) };
             let cues = Cues { view, surface: surface.as_ref(), space: space.as_deref(), confidence, refined };
             unaries(&cues, &self.options, 0.5 * (camera.fx + camera.fy))
         });

@@ -342,7 +342,9 @@ impl Tracker {
             selected: &selected,
             edges: &edges,
             previous,
-            field: self.field.as_deref(),
+            // The keyframes hold what the field knows. Its surface itself repeats their errors, and where hardly anything is
+            // seen of the object its unevenness turns the frame along a symmetric part.
+            field: None,
             config: &self.config.graph,
         };
         let solved = problem.solve();
