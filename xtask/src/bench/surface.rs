@@ -191,11 +191,8 @@ fn measure(
         "release" => FieldConfig::release(),
         other => anyhow::bail!("no settings {other}: there are realtime, refine, paper, release"),
     };
-    // As the tracker and the refinement have it.
-    if matches!(settings, "realtime" | "refine") {
-        config.color_start = config.pose_end;
-    }
     if settings == "realtime" {
+        // As the tracker has it.
         config.pose_start = 0.2;
     }
     config.steps = args.steps.unwrap_or(config.steps);

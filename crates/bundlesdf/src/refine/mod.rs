@@ -33,10 +33,7 @@ pub struct RefineOptions {
 
 impl Default for RefineOptions {
     fn default() -> Self {
-        let field = FieldConfig::refine();
-        // As online: matches have placed the keyframes, colour must not move them with the light.
-        let field = FieldConfig { color_start: field.pose_end, ..field };
-        Self { field, close: false, spacing: 0.002 }
+        Self { field: FieldConfig::refine(), close: false, spacing: 0.002 }
     }
 }
 
