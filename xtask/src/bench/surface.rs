@@ -191,10 +191,6 @@ fn measure(
         "release" => FieldConfig::release(),
         other => anyhow::bail!("no settings {other}: there are realtime, refine, paper, release"),
     };
-    if settings == "realtime" {
-        // As the tracker has it.
-        config.pose_start = 0.2;
-    }
     config.steps = args.steps.unwrap_or(config.steps);
     if args.fixed {
         config.pose_learning_rate = 0.0;

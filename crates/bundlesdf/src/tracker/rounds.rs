@@ -183,8 +183,6 @@ pub(super) fn field_config(config: &Config, steps: usize) -> FieldConfig {
         max_translation: settings.max_translation,
         max_rotation_deg: settings.max_rotation_deg,
         ring_rays: if settings.hybrid { base.ring_rays } else { 0 },
-        // Matches have placed the keyframes to millimetres: the field has a surface before it moves them.
-        pose_start: 0.2,
         ..base
     }
 }
