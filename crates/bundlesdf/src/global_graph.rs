@@ -11,7 +11,8 @@ use crate::{config::MAX_DENSE_SWING, field_model::FieldModel, field_worker::Fiel
 const NEIGHBOURS: usize = 6;
 
 /// `obj_from_cam` of all keyframes of the request, started at `poses`, the first one held. With a `field` each keyframe
-/// is also drawn to `poses`, where its training left it, as much as the field's surface determines it. `None` if the graph can't be built or solved.
+/// is also drawn to `poses`, where its training left it, as much as the field's surface determines it. `None` if the graph
+/// can't be built or solved.
 pub(crate) fn optimise(
     request: &FieldRequest,
     poses: &[Isometry3<f64>],
