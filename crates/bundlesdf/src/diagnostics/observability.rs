@@ -8,7 +8,7 @@ use super::{Notice, WarningKind};
 use crate::tracker::{FrameResult, MotionKind};
 
 /// Frames in which a motion is not seen before it is told: for a moment, a handle may be out of sight.
-const PATIENCE: usize = 10;
+const PATIENCE: usize = 5;
 
 pub(super) fn check(result: &FrameResult) -> Option<Notice> {
     let held = &result.uncertainty.as_ref()?.held;
