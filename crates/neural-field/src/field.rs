@@ -54,6 +54,8 @@ pub struct TrainedField {
     field_from_obj: Isometry3<f64>,
     octree: VoxelOctree,
     support: VoxelOctree,
+    /// What the networks say in the middle of the depth points, metres: the zero level is there.
+    zero: f32,
     /// How far behind a measured point the sign of the distance is known, metres.
     reach: f64,
     frames: Vec<Arc<FieldImages>>,
@@ -82,6 +84,7 @@ impl TrainedField {
             weights,
             flipped,
             truncation: config.truncation,
+            zero: 0.0,
             residuals: Vec::new(),
             losses,
             reach: reach(config),
@@ -99,13 +102,9 @@ impl TrainedField {
             .zip(sampler.rays())
             .map(|(pose, rays)| field.distances(pose, rays))
             .collect();
-        let offset = middle(&mut distances.concat()).unwrap_or(0.0);
-        let output = field.networks.geometry[1].bias().start;
-        if let Some(bias) = field.weights.get_mut(output) {
-            *bias -= offset / field.truncation as f32;
-        }
+        field.zero = middle(&mut distances.concat()).unwrap_or(0.0);
         let residual = |of_frame: &mut Vec<f32>| {
-            of_frame.iter_mut().for_each(|v| *v = (*v - offset).abs());
+            of_frame.iter_mut().for_each(|v| *v = (*v - field.zero).abs());
             middle(of_frame).unwrap_or(f32::NAN)
         };
         field.residuals = distances.iter_mut().map(residual).collect();
@@ -204,7 +203,6 @@ impl TrainedField {
         let (set, model) = (Set::best(), self.model());
         let mut scratch = Scratch::new(BLOCK, BLOCK, &self.networks);
         let mut pos = vec![0.0; 3 * BLOCK];
-        let metres = self.truncation as f32;
         for start in (0..points.len()).step_by(BLOCK) {
             let block = &points[start..points.len().min(start + BLOCK)];
             self.place_block(block, &mut pos);
@@ -216,7 +214,7 @@ impl TrainedField {
                 set.call(Query::<f32, false> { model, lanes: BLOCK, pos, scratch });
             }
             for (l, p) in block.iter().enumerate() {
-                sdf[start + l] = self.known(*p, metres * scratch.distances()[l]);
+                sdf[start + l] = self.distance(*p, scratch.distances()[l]);
                 if let Some(g) = gradient.as_deref_mut() {
                     let d = self.slope([0, 1, 2].map(|a| scratch.slopes()[a * BLOCK + l]));
                     g[start + l] = d.map(|v| self.known(*p, v));
@@ -287,6 +285,11 @@ impl TrainedField {
     pub(crate) fn view(&self, dir: [f32; 3]) -> [f32; 3] {
         let d = self.field_from_obj.rotation * Vector3::from(dir.map(f64::from));
         [d.x as f32, d.y as f32, d.z as f32]
+    }
+
+    /// The signed distance at a point, metres, from what the networks say, truncation units.
+    pub(crate) fn distance(&self, point: [f32; 3], value: f32) -> f32 {
+        self.known(point, self.truncation as f32 * value - self.zero)
     }
 
     /// A value at a point, NaN where the field is unknown.

@@ -245,7 +245,7 @@ impl Engine for GpuRound {
             self.query(&field, points, &[&self.programs.query])?;
             let values = self.gpu.read(&self.buffers.sdf, points.len())?;
             for ((out, value), p) in sdf.iter_mut().zip(values).zip(points) {
-                *out = field.known(*p, field.truncation() as f32 * value);
+                *out = field.distance(*p, value);
             }
         }
         Ok(())
@@ -266,7 +266,7 @@ impl Engine for GpuRound {
             let slopes = self.gpu.read(&self.buffers.gamma, 4 * points.len())?;
             for (i, (p, [x, y, z, _])) in points.iter().zip(slopes.as_chunks::<4>().0).enumerate() {
                 if let (Some(s), Some(g)) = (sdf.get_mut(i), gradient.get_mut(i)) {
-                    *s = field.known(*p, field.truncation() as f32 * values[i]);
+                    *s = field.distance(*p, values[i]);
                     *g = field.slope([*x, *y, *z]).map(|v| field.known(*p, v));
                 }
             }
