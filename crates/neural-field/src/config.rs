@@ -71,6 +71,10 @@ pub struct FieldConfig {
     pub free_distance: f64,
     /// Softness (alpha) of the bell that blends the colours of a ray around the measured depth.
     pub color_sharpness: f64,
+    /// Radius of the window in which colours are compared with the brightness around them, as a share of the mask's larger
+    /// side: moving light changes colours, and poses follow them, but it hardly changes such a contrast. 0 takes colours as
+    /// they are.
+    pub contrast_window: f64,
     /// Share of the steps that pass before colour is trained.
     pub color_start: f64,
     /// The eikonal term runs on every n-th tile of rays; 0 is never.
@@ -134,6 +138,7 @@ impl FieldConfig {
             levels: 4,
             epsilon: 0.001,
             free_distance: 1.0,
+            contrast_window: 0.0,
             color_start: 0.0,
             eikonal_every: 1,
             first_frame_weight: 1.0,
@@ -181,6 +186,7 @@ impl FieldConfig {
             epsilon: 0.2,
             free_distance: 0.3,
             color_sharpness: 5.0,
+            contrast_window: 0.1,
             color_start: 0.0,
             eikonal_every: 2,
             learning_rate: 0.01,
@@ -225,6 +231,7 @@ impl FieldConfig {
             ("pose_start", self.pose_start),
             ("pose_end", self.pose_end),
             ("free_distance", self.free_distance),
+            ("contrast_window", self.contrast_window),
             ("color_start", self.color_start),
             ("max_translation", self.max_translation),
             ("max_rotation_deg", self.max_rotation_deg),

@@ -1,6 +1,7 @@
 //! A trained field: distances, colours, poses.
 
 use crate::config::FieldConfig;
+use crate::contrast::Brightness;
 use crate::frame::FieldImages;
 use crate::grid::Grid;
 use crate::mlp::Networks;
@@ -56,6 +57,8 @@ pub struct TrainedField {
     support: VoxelOctree,
     /// What the networks say in the middle of the depth points, metres: the zero level is there.
     zero: f32,
+    /// What was taken out of the colours, if anything was.
+    brightness: Option<Brightness>,
     /// How far behind a measured point the sign of the distance is known, metres.
     reach: f64,
     frames: Vec<Arc<FieldImages>>,
@@ -78,6 +81,8 @@ impl TrainedField {
         let mut weights = parameters.weights;
         parameters.networks.codes.settle(&mut weights);
         let flipped = parameters.networks.flip_all(&weights);
+        let brightness =
+            (config.contrast_window > 0.0).then(|| Brightness::new(volume, sampler.rays(), &poses));
         let mut field = Self {
             grid: parameters.grid,
             networks: parameters.networks,
@@ -85,6 +90,7 @@ impl TrainedField {
             flipped,
             truncation: config.truncation,
             zero: 0.0,
+            brightness,
             residuals: Vec::new(),
             losses,
             reach: reach(config),
@@ -249,7 +255,7 @@ impl TrainedField {
             }
             set.call(QueryColor { model, lanes: BLOCK, dirs: &views, scratch });
             for l in 0..end - start {
-                out[start + l] = scratch.color(l).map(|v| self.known(points[start + l], v));
+                out[start + l] = self.color_at(points[start + l], scratch.color(l));
             }
         }
     }
@@ -290,6 +296,12 @@ impl TrainedField {
     /// The signed distance at a point, metres, from what the networks say, truncation units.
     pub(crate) fn distance(&self, point: [f32; 3], value: f32) -> f32 {
         self.known(point, self.truncation as f32 * value - self.zero)
+    }
+
+    /// The colour at a point from what the networks say.
+    pub(crate) fn color_at(&self, point: [f32; 3], rgb: [f32; 3]) -> [f32; 3] {
+        let rgb = self.brightness.as_ref().map_or(rgb, |b| b.color(point, rgb));
+        rgb.map(|v| self.known(point, v))
     }
 
     /// A value at a point, NaN where the field is unknown.

@@ -55,6 +55,7 @@ mod clock;
 mod closing;
 mod color;
 mod config;
+mod contrast;
 mod cpu;
 mod device;
 mod draws;

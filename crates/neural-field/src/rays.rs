@@ -1,6 +1,7 @@
 //! Candidate rays of every frame, prepared once per round.
 
 use crate::config::FieldConfig;
+use crate::contrast::surround;
 use crate::frame::FieldImages;
 use crate::silhouette::{NOWHERE, nearest_background, nearest_masked};
 use crate::volume::Volume;
@@ -20,8 +21,10 @@ pub(crate) struct SurfaceRays {
     pub(crate) cosine: Vec<f32>,
     /// How deep the object may be taken to be here, truncation units: no deeper than the silhouette's rim is away.
     pub(crate) depth: Vec<f32>,
-    /// RGB in 0..1.
+    /// RGB over the surround's brightness, 0..1.
     pub(crate) color: Vec<[f32; 3]>,
+    /// Brightness of the surround; 1 where colours are taken as they are.
+    pub(crate) surround: Vec<f32>,
 }
 
 /// What a ring pixel's depth says about the space in front of it.
@@ -78,8 +81,9 @@ impl FrameRays {
                 }
             }
         }
+        let surround = surround(frame, mask_box, config.contrast_window);
         for i in spread(inside.len(), config.rays_per_frame) {
-            rays.push_surface(frame, obj_from_cam, volume, config, inside[i]);
+            rays.push_surface(frame, obj_from_cam, volume, config, inside[i], &surround);
         }
         let mut intervals = Vec::new();
         for i in spread(ring.len(), config.rays_per_frame) {
@@ -95,6 +99,7 @@ impl FrameRays {
         volume: &Volume,
         config: &FieldConfig,
         (u, v, z, rim): (usize, usize, f32, [u32; 2]),
+        surround: &[f32],
     ) {
         let ray = frame.ray(u, v);
         let length = norm(ray);
@@ -111,7 +116,9 @@ impl FrameRays {
             pixel_distance((u, v), rim) * f64::from(z) / frame.fx.max(frame.fy) / config.truncation
         };
         s.depth.push(depth.min(1.0) as f32);
-        s.color.push(frame.color[v * frame.width + u].map(|c| f32::from(c) / 255.0));
+        let at = v * frame.width + u;
+        s.color.push(frame.color[at].map(|c| (f32::from(c) / 255.0 / surround[at]).min(1.0)));
+        s.surround.push(surround[at]);
         let cosine = if config.incidence_correction { incidence(frame, u, v, z, config) } else { None };
         s.cosine.push(cosine.unwrap_or(1.0).clamp(MIN_COSINE, 1.0));
     }

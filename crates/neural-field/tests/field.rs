@@ -66,8 +66,7 @@ fn perturbed_poses_are_recovered_and_the_first_is_kept() {
     for shape in [BOX, SPHERE] {
         let (frames, truth) = noisy_views(&shape, 12, 80, 0.0005);
         let start = perturb(&truth, 0.01, 5f64.to_radians());
-        let config = FieldConfig { steps: 300, surface_rays: 256, ..small() };
-        let field = run(&config, &frames, &start);
+        let field = run(&FieldConfig::realtime(), &frames, &start);
         let [shift, _, turn, _] = pose_errors(field.poses(), &truth);
         let near = sdf_errors(&field, &shape, 0.001, 2000);
         println!(
@@ -165,10 +164,11 @@ fn appearance_codes_take_up_what_changes_from_frame_to_frame() {
             *c = c.map(|v| v / 2);
         }
     }
+    let as_seen = FieldConfig { contrast_window: 0.0, ..small() };
     // How soon the colours leave their mean depends on the seed.
     let color_loss = |appearance: usize| {
         let last = |seed: u64| {
-            let config = FieldConfig { steps: 250, appearance, seed, pose_learning_rate: 0.0, ..small() };
+            let config = FieldConfig { steps: 250, appearance, seed, pose_learning_rate: 0.0, ..as_seen };
             let field = run(&config, &frames, &poses);
             field.losses().iter().rev().take(20).map(|l| l.color).sum::<f64>()
         };
@@ -177,6 +177,27 @@ fn appearance_codes_take_up_what_changes_from_frame_to_frame() {
     let (with, without) = (color_loss(8), color_loss(0));
     println!("colour loss {with:.4} with codes, {without:.4} without");
     assert!(with < 0.85 * without);
+}
+
+#[test]
+fn light_that_stays_with_the_camera_hardly_turns_the_poses() {
+    // Only its colours tell how a sphere is turned, and every view of it is brighter on the same side.
+    let (mut frames, truth) = noisy_views(&SPHERE, 12, 80, 0.0005);
+    for frame in &mut frames {
+        let frame = Arc::make_mut(frame);
+        for (i, c) in frame.color.iter_mut().enumerate() {
+            let light = 0.3 + 0.7 * (i % frame.width) as f64 / frame.width as f64;
+            *c = c.map(|v| (light * f64::from(v)) as u8);
+        }
+    }
+    let turn = |contrast_window: f64| {
+        let config = FieldConfig { contrast_window, steps: 300, surface_rays: 256, ..small() };
+        let field = run(&config, &frames, &perturb(&truth, 0.002, 0.01));
+        pose_errors(field.poses(), &truth)[2].to_degrees()
+    };
+    let (contrast, colors) = (turn(small().contrast_window), turn(0.0));
+    println!("turned by {contrast:.2} degrees by contrast, by {colors:.2} by colours");
+    assert!(contrast < 0.3 && contrast < 0.7 * colors);
 }
 
 #[test]

@@ -295,7 +295,8 @@ impl Engine for GpuRound {
             self.query(&field, points, &[&self.programs.query, &self.programs.query_color])?;
             let rgb = self.gpu.read(&self.buffers.rgb, 3 * block)?;
             for (i, (out, p)) in out.iter_mut().zip(points).enumerate() {
-                *out = [0, 1, 2].map(|c| field.known(*p, 1.0 / (1.0 + (-rgb[c * block + i]).exp())));
+                let rgb = [0, 1, 2].map(|c| 1.0 / (1.0 + (-rgb[c * block + i]).exp()));
+                *out = field.color_at(*p, rgb);
             }
         }
         Ok(())
