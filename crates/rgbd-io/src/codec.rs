@@ -3,6 +3,7 @@
 #![warn(clippy::indexing_slicing)]
 
 use std::io::Cursor;
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
 
 use ::image::codecs::jpeg::JpegEncoder;
@@ -169,7 +170,18 @@ fn decode(path: &Path) -> Result<(ImageFormat, DynamicImage), Error> {
         let problem = format!("claims {width}x{height} pixels, which {} bytes can't hold", bytes.len());
         return Err(Error::new(path, problem, "the image is damaged: export or copy it again"));
     }
-    Ok((format, DynamicImage::from_decoder(decoder).map_err(failed)?))
+    Ok((format, survive(path, || DynamicImage::from_decoder(decoder))?))
+}
+
+/// What decodes, a damaged image may overflow: with checked arithmetic that is a panic, here an error.
+fn survive<T>(path: &Path, decode: impl FnOnce() -> Result<T, ImageError>) -> Result<T, Error> {
+    catch_unwind(AssertUnwindSafe(decode)).map_or_else(
+        |_| {
+            let problem = "can't be decoded (the decoder failed)";
+            Err(Error::new(path, problem, "the image is damaged: export or copy it again"))
+        },
+        |decoded| decoded.map_err(|e| decode_error(path, &e)),
+    )
 }
 
 fn read_bytes(path: &Path) -> Result<Vec<u8>, Error> {
@@ -306,4 +318,17 @@ fn write_png(path: &Path, size: (usize, usize), bytes: &[u8], kind: ExtendedColo
         .write_image(bytes, width, height, kind)
         .map_err(|e| failed(format!("can't be encoded ({e})")))?;
     write_atomic(path, &png)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_decoder_that_panics_is_an_error_that_names_the_file() {
+        let overflow = |a: u8| -> Result<u8, ImageError> { Ok(a.checked_mul(2).expect("overflow")) };
+        assert_eq!(survive(Path::new("a.jpg"), || overflow(3)).ok(), Some(6));
+        let error = survive(Path::new("a.jpg"), || overflow(200)).err().map(|e| e.to_string());
+        assert!(error.is_some_and(|e| e.contains("a.jpg") && e.contains("decoder failed")));
+    }
 }
