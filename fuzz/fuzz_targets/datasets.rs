@@ -1,3 +1,6 @@
 #![no_main]
 
-libfuzzer_sys::fuzz_target!(|data: &[u8]| fuzz_targets::run("datasets", data));
+#[path = "../decoder.rs"]
+mod decoder;
+
+libfuzzer_sys::fuzz_target!(init: decoder::may_panic_if_caught(), |data: &[u8]| fuzz_targets::run("datasets", data));

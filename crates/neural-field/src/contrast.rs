@@ -28,7 +28,7 @@ pub(crate) fn surround(frame: &FieldImages, [u0, v0, u1, v1]: [usize; 4], window
     let mut weight: Vec<f32> = masked().map(|m| f32::from(u8::from(m))).collect();
     // Two passes of a box of half the radius: a tent.
     let side = (u1 - u0).max(v1 - v0) as f64;
-    let radius = ((0.5 * window * side).ceil() as usize).max(1);
+    let radius = ((0.5 * window * side).ceil() as usize).clamp(1, width.max(height));
     let mut line = Vec::new();
     for image in [&mut sum, &mut weight] {
         for _ in 0..2 {
@@ -153,7 +153,7 @@ mod tests {
         }
     }
 
-    /// Median difference between two images of contrast inside the mask, and the median difference between colours.
+    /// Median difference between the contrasts of two images inside the mask; without a window, between their colours.
     fn difference(a: &FieldImages, b: &FieldImages, window: f64) -> f32 {
         let bounds = a.mask_box().unwrap();
         let (in_a, in_b) = (surround(a, bounds, window), surround(b, bounds, window));
@@ -192,7 +192,7 @@ mod tests {
     #[test]
     fn a_window_of_any_size_gives_numbers() {
         let mut image = lit(|u| u as f64);
-        for window in [1e-9, 0.1, 1.0, 100.0] {
+        for window in [1e-9, 0.1, 1.0, 100.0, f64::MAX] {
             let found = surround(&image, image.mask_box().unwrap(), window);
             assert!(found.iter().all(|s| s.is_finite() && *s > 0.0), "{window}");
         }

@@ -132,8 +132,20 @@ fn sized<T>(path: &Path, width: usize, height: usize, pixels: Vec<T>) -> Result<
 /// Reads and decodes a file, with every size checked before memory is taken for it.
 fn decode(path: &Path) -> Result<(ImageFormat, DynamicImage), Error> {
     let bytes = read_bytes(path)?;
+    survive(path, || decode_bytes(path, &bytes))
+}
+
+/// A damaged image may overflow what decodes it: with checked arithmetic that is a panic, here an error.
+fn survive<T>(path: &Path, decode: impl FnOnce() -> Result<T, Error>) -> Result<T, Error> {
+    catch_unwind(AssertUnwindSafe(decode)).unwrap_or_else(|_| {
+        let problem = "can't be decoded (the decoder failed)";
+        Err(Error::new(path, problem, "the image is damaged: export or copy it again"))
+    })
+}
+
+fn decode_bytes(path: &Path, bytes: &[u8]) -> Result<(ImageFormat, DynamicImage), Error> {
     let failed = |e: ImageError| decode_error(path, &e);
-    let mut reader = ImageReader::new(Cursor::new(bytes.as_slice()))
+    let mut reader = ImageReader::new(Cursor::new(bytes))
         .with_guessed_format()
         .map_err(|e| Error::io(path, "reading", &e))?;
     let format = match reader.format() {
@@ -146,7 +158,7 @@ fn decode(path: &Path) -> Result<(ImageFormat, DynamicImage), Error> {
             ));
         }
     };
-    if format == ImageFormat::Jpeg && !jpeg_is_complete(&bytes) {
+    if format == ImageFormat::Jpeg && !jpeg_is_complete(bytes) {
         return Err(truncated(path));
     }
     let mut limits = ::image::Limits::default();
@@ -170,18 +182,7 @@ fn decode(path: &Path) -> Result<(ImageFormat, DynamicImage), Error> {
         let problem = format!("claims {width}x{height} pixels, which {} bytes can't hold", bytes.len());
         return Err(Error::new(path, problem, "the image is damaged: export or copy it again"));
     }
-    Ok((format, survive(path, || DynamicImage::from_decoder(decoder))?))
-}
-
-/// What decodes, a damaged image may overflow: with checked arithmetic that is a panic, here an error.
-fn survive<T>(path: &Path, decode: impl FnOnce() -> Result<T, ImageError>) -> Result<T, Error> {
-    catch_unwind(AssertUnwindSafe(decode)).map_or_else(
-        |_| {
-            let problem = "can't be decoded (the decoder failed)";
-            Err(Error::new(path, problem, "the image is damaged: export or copy it again"))
-        },
-        |decoded| decoded.map_err(|e| decode_error(path, &e)),
-    )
+    Ok((format, DynamicImage::from_decoder(decoder).map_err(failed)?))
 }
 
 fn read_bytes(path: &Path) -> Result<Vec<u8>, Error> {
@@ -326,7 +327,7 @@ mod tests {
 
     #[test]
     fn a_decoder_that_panics_is_an_error_that_names_the_file() {
-        let overflow = |a: u8| -> Result<u8, ImageError> { Ok(a.checked_mul(2).expect("overflow")) };
+        let overflow = |a: u8| -> Result<u8, Error> { Ok(a.checked_mul(2).expect("overflow")) };
         assert_eq!(survive(Path::new("a.jpg"), || overflow(3)).ok(), Some(6));
         let error = survive(Path::new("a.jpg"), || overflow(200)).err().map(|e| e.to_string());
         assert!(error.is_some_and(|e| e.contains("a.jpg") && e.contains("decoder failed")));
