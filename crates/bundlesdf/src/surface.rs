@@ -1,8 +1,10 @@
-//! The observed surface so far: what the segmentation compares a new frame with.
+//! The observed surface: points for the segmentation to compare a new frame with, and the mesh of the field.
 
 use std::collections::HashSet;
 
+use marching_cubes::TriMesh;
 use mask_tracker::SurfacePoint;
+use neural_field::TrainedField;
 
 use crate::{
     pool::MemoryPool,
@@ -28,4 +30,14 @@ pub(crate) fn fused_surface(pool: &MemoryPool) -> Vec<SurfacePoint> {
         }
     }
     surface
+}
+
+/// The field's surface where it was seen (`spacing`: edge of a cell, metres). An object of which two parts were seen and
+/// not what joins them comes in two pieces.
+pub(crate) fn field_surface(field: &TrainedField, spacing: f32) -> TriMesh {
+    /// Pieces of fewer triangles are noise.
+    const SPECK: usize = 20;
+    let mut mesh = field.extract_mesh(spacing);
+    mesh.remove_small_components(SPECK);
+    mesh
 }

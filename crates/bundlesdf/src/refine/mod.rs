@@ -18,7 +18,7 @@ use neural_field::{Control, FieldConfig, FieldError, FieldImages, StepLosses, Tr
 
 use rgbd_io::FrameSource;
 
-use crate::{observation::Observation, output::OutputFolder};
+use crate::{observation::Observation, output::OutputFolder, surface::field_surface};
 
 /// What a refinement does.
 #[derive(Clone, Debug)]
@@ -147,7 +147,7 @@ pub fn refine(
     let mesh = if options.close {
         field.extract_closed_mesh(options.spacing)
     } else {
-        field.extract_mesh(options.spacing).largest_component()
+        field_surface(&field, options.spacing)
     };
     let keyframes = keyframes
         .into_iter()

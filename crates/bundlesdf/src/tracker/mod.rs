@@ -328,16 +328,14 @@ impl Tracker {
         let matched: usize = edges.iter().map(|(_, e)| e.older.len()).sum();
         let coarse_edge = coarse.as_ref().map(|c| MemoryEdge::from_matches(&c.matches));
         // Memory alone holds the pose when it can; the previous frame would only add its own drift.
-        let previous = match (&self.reference, &coarse_edge) {
-            (Some(r), Some(edge)) if !relocalised && matched < 3 * self.config.coarse.min_inliers => {
-                Some((&*r.observation, r.pose, edge))
-            }
-            _ => None,
-        };
+        let alone =
+            self.reference.as_ref().filter(|_| !relocalised && matched < 3 * self.config.coarse.min_inliers);
+        let previous = alone.zip(coarse_edge.as_ref()).map(|(r, edge)| (&*r.observation, r.pose, edge));
         let problem = GraphProblem {
             observation,
             guess,
-            prediction: self.reference.as_ref().filter(|_| !relocalised).map(|r| r.pose),
+            // What depth doesn't show, matches decide; without enough of them the pose stands still.
+            prediction: alone.map(|r| r.pose),
             pool: &self.pool,
             selected: &selected,
             edges: &edges,
@@ -347,10 +345,14 @@ impl Tracker {
             field: None,
             config: &self.config.graph,
         };
-        let solved = problem.solve();
         let inliers = matched.max(coarse.as_ref().map_or(0, |c| c.matches.len()));
-        match solved {
-            Some(GraphResult { pose, moved, uncertainty }) if within(Gates::CORRECTION, &guess, &pose) => {
+        // A graph that leaves its guess for where the object was expected anyway hasn't run away: the guess was wrong.
+        let expected = self.motion.predict(observation.index).filter(|_| !relocalised);
+        let sound = |pose: &Isometry3<f64>| {
+            [Some(guess), expected].iter().flatten().any(|near| within(Gates::CORRECTION, near, pose))
+        };
+        match problem.solve() {
+            Some(GraphResult { pose, moved, uncertainty }) if sound(&pose) => {
                 Estimate { pose, inliers, memory_matches: matched, relocalised, edges, moved, uncertainty }
             }
             _ => Estimate {

@@ -1,9 +1,9 @@
 //! The tracker's side of the Neural Object Field: when rounds start, what their poses change, the final mesh.
 
-use std::sync::{Arc, atomic::AtomicBool};
+use std::sync::atomic::AtomicBool;
 
 use marching_cubes::TriMesh;
-use neural_field::{FieldConfig, TrainedField};
+use neural_field::FieldConfig;
 use serde::{Deserialize, Serialize};
 
 use super::Tracker;
@@ -12,7 +12,7 @@ use crate::{
     field_worker::{FieldReply, FieldRequest, FieldWorker, Round, RoundError},
     pool::{Keyframe, carry},
     report::RoundReport,
-    surface::fused_surface,
+    surface::{field_surface, fused_surface},
 };
 
 /// Failures that are told; a device that is gone would fill the report with the same line.
@@ -167,7 +167,7 @@ impl Tracker {
     /// Ends the tracking at once: the mesh of the newest field, without a last round.
     pub fn stop(self) -> Reconstruction {
         let spacing = self.config.mesh.spacing;
-        let mesh = self.field.as_ref().map(|field| final_mesh(field, spacing));
+        let mesh = self.field.as_ref().map(|field| field_surface(field, spacing));
         let keyframes = self.pool.keyframes().to_vec();
         Reconstruction { mesh, keyframes, field: self.summary }
     }
@@ -185,11 +185,6 @@ pub(super) fn field_config(config: &Config, steps: usize) -> FieldConfig {
         ring_rays: if settings.hybrid { base.ring_rays } else { 0 },
         ..base
     }
-}
-
-/// The largest component of the zero level.
-fn final_mesh(field: &Arc<TrainedField>, spacing: f32) -> TriMesh {
-    field.extract_mesh(spacing).largest_component()
 }
 
 fn median(values: &[f64]) -> f64 {

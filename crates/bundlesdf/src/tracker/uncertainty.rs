@@ -11,8 +11,8 @@ pub struct Uncertainty {
     /// `obj_from_cam = exp([rho; phi]) true_obj_from_cam`, given the keyframes' poses as the pose graph had them. A
     /// motion that is not observed has the spread of the whole object.
     pub covariance: [[f64; 6]; 6],
-    /// Motions of the object that neither its shape nor its texture shows from here. Along these the pose is held where
-    /// the last frame had it.
+    /// Motions of the object that neither its shape nor its texture shows well from here. Along these the pose is held
+    /// where the matches alone put it or, without enough of them, where the last frame had it.
     pub held: Vec<HeldMotion>,
 }
 
