@@ -209,11 +209,13 @@ fn a_video_in_which_nothing_is_ever_seen_ends_without_mesh_and_without_panic() {
 }
 
 /// Largest error of the rotation relative to the first frame, degrees, where frames `range` of a sequence of the suite
-/// are a video of their own.
-fn worst_turn(name: &str, range: Range<usize>, config: &Config) -> f64 {
+/// are a video of their own, tracked without a field.
+fn worst_turn(name: &str, range: Range<usize>) -> f64 {
+    let mut config = Config::default();
+    config.field.refiner = Refiner::None;
     let video = Sequence::named(name).unwrap();
     let frames: Vec<_> = range.clone().into_par_iter().map(|i| video.render(i).frame).collect();
-    let (results, _) = run(config, Schedule::Lockstep, &frames);
+    let (results, _) = run(&config, Schedule::Lockstep, &frames);
     let start = video.cam_from_obj(range.start).inv_mul(&results[0].cam_from_obj);
     let errors = range.zip(&results).map(|(i, result)| {
         let truth = video.cam_from_obj(i) * start;
@@ -225,17 +227,13 @@ fn worst_turn(name: &str, range: Range<usize>, config: &Config) -> f64 {
 #[test]
 fn matches_turn_what_depth_does_not() {
     // A drill that turns by two degrees a frame; from here, and with faulty masks, depth hardly ties its turn.
-    let mut config = Config::default();
-    config.field.refiner = Refiner::None;
-    let worst = worst_turn("noisy-masks", 150..180, &config);
+    let worst = worst_turn("noisy-masks", 150..180);
     assert!(worst < 2.0, "{worst}");
 }
 
 #[test]
 fn a_wrong_turn_of_few_matches_is_mended_by_the_pose_graph() {
     // A toy of some 30 pixels, which turns by about two degrees a frame.
-    let mut config = Config::default();
-    config.field.refiner = Refiner::None;
-    let worst = worst_turn("small-far", 35..55, &config);
+    let worst = worst_turn("small-far", 35..55);
     assert!(worst < 12.0, "{worst}");
 }
