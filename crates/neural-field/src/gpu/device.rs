@@ -7,6 +7,7 @@ use std::future::Future;
 use std::pin::pin;
 use std::sync::{Arc, Mutex, PoisonError, mpsc};
 use std::task::{Context, Poll, Waker};
+use std::time::Duration;
 use wgpu::util::DeviceExt;
 use wgpu::{Backends, BufferUsages, DeviceType, Features};
 
@@ -14,6 +15,8 @@ use wgpu::{Backends, BufferUsages, DeviceType, Features};
 const STORAGE_BUFFERS: u32 = 8;
 /// Invocations of a workgroup.
 pub(crate) const WORKGROUP: u32 = 64;
+/// The longest that a callback may take to come once its work is done.
+const CALLBACK: Duration = Duration::from_secs(10);
 
 /// An opened GPU with the training step's kernels compiled for it. Cheap to clone; open it once and use it for every
 /// round.
@@ -227,7 +230,8 @@ impl Gpu {
             let _ = sender.send(outcome);
         });
         self.wait(None)?;
-        let mapped = receiver.try_recv().is_ok_and(|outcome| outcome.is_ok());
+        // Another thread's wait may have taken this callback over and be just about to call it.
+        let mapped = receiver.recv_timeout(CALLBACK).is_ok_and(|outcome| outcome.is_ok());
         let view = staging.get_mapped_range(..).ok().filter(|_| mapped);
         let view = view.ok_or_else(|| fail(&format!("{}: results can't be read", self.inner.name)))?;
         Ok(bytemuck::pod_collect_to_vec(&view))

@@ -319,6 +319,24 @@ fn twenty_steps_with_moving_poses_and_queries_agree() {
 }
 
 #[test]
+fn threads_read_from_one_device() {
+    let Some(gpu) = adapter(false) else { return };
+    std::thread::scope(|threads| {
+        for thread in 0..4_u32 {
+            let gpu = &gpu;
+            threads.spawn(move || {
+                for i in 0..500_u32 {
+                    let value = (1000 * thread + i) as f32;
+                    let buffer = gpu.zeros("one number", 4);
+                    gpu.write(&buffer, &value.to_ne_bytes());
+                    assert_eq!(gpu.read(&buffer, 1).unwrap(), [value]);
+                }
+            });
+        }
+    });
+}
+
+#[test]
 fn a_lost_device_is_an_error() {
     let Ok(gpu) = Gpu::open_with(false) else { return println!("skipped: no adapter") };
     let (_, mut round) = rounds(&gpu, &config());
