@@ -22,7 +22,8 @@ pub struct Hints {
     pub background: Vec<[f32; 2]>,
 }
 
-const CELLS: usize = 180;
+/// Cells of the grids, at most.
+const CELLS: usize = 32_000;
 const SMOOTHNESS: f32 = 2.5;
 const ROUNDS: usize = 6;
 /// Preference of a cell that a hint settles.

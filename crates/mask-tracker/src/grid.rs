@@ -90,8 +90,8 @@ pub(crate) struct Window {
 }
 
 impl Window {
-    /// The part of an image of `size` within `margin` pixels of `bounds`, at most `max_cells` cells on its longer
-    /// side; `None` when the two don't meet.
+    /// The part of an image of `size` within `margin` pixels of `bounds`, in the finest cells of which it has at most
+    /// `max_cells`; `None` when the two don't meet.
     pub(crate) fn around(
         bounds: Bounds,
         margin: f32,
@@ -106,8 +106,8 @@ impl Window {
         if x1 <= x0 || y1 <= y0 {
             return None;
         }
-        let longer = (x1 - x0).max(y1 - y0);
-        let step = longer.div_ceil(max_cells.max(8)).max(1);
+        let fits = |step: &usize| (x1 - x0).div_ceil(*step) * (y1 - y0).div_ceil(*step) <= max_cells.max(64);
+        let step = (1..=size.0.max(size.1)).find(fits)?;
         Some(Self { x0, y0, step, w: (x1 - x0).div_ceil(step), h: (y1 - y0).div_ceil(step) })
     }
 
@@ -227,4 +227,25 @@ fn cell_depth(frame: &RgbdFrame, x0: usize, y0: usize, x1: usize, y1: usize) -> 
         }
     }
     0.0
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_window_has_the_finest_cells_of_which_there_are_few_enough() {
+        for (bounds, max_cells) in [
+            ([0.0, 0.0, 639.0, 479.0], 12_000),
+            ([100.0, 50.0, 180.0, 400.0], 12_000),
+            ([300.0, 200.0, 330.0, 240.0], 12_000),
+            ([0.0, 0.0, 639.0, 479.0], 1),
+        ] {
+            let window = Window::around(bounds, 5.0, (640, 480), max_cells).unwrap();
+            assert!(window.len() <= max_cells.max(64), "{window:?}");
+            let finer = window.step - 1;
+            assert!(finer == 0 || window.len() * window.step.pow(2) / finer.pow(2) > max_cells, "{window:?}");
+        }
+        assert_eq!(Window::around([700.0, 0.0, 720.0, 20.0], 5.0, (640, 480), 12_000), None);
+    }
 }

@@ -24,7 +24,8 @@ use crate::{Prior, Segmentation, VideoSegmenter};
 /// Settings of [`Propagate`]; the defaults suit consumer depth cameras and objects of 3 cm to 50 cm.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Options {
-    /// Cells on the longer side of the working grid; more follow finer detail and cost time quadratically.
+    /// Cells of the working grid at most (fewer than 64 count as 64); more follow finer detail, and time is
+    /// proportional to them.
     pub max_cells: usize,
     /// Weight of the boundary length against the per-cell preferences.
     pub smoothness: f32,
@@ -45,7 +46,7 @@ pub struct Options {
 impl Default for Options {
     fn default() -> Self {
         Self {
-            max_cells: 140,
+            max_cells: 12_000,
             smoothness: 2.5,
             in_front: 0.008,
             behind: 0.02,

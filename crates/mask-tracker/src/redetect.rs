@@ -7,8 +7,8 @@ use crate::appearance::{Appearance, bin};
 use crate::grid::{Camera, Grid, Window};
 use crate::warp::{Sample, color_match, image_translation, moved};
 
-/// Longer side of the search grid, cells.
-const CELLS: usize = 96;
+/// Cells of the search grid, at most.
+const CELLS: usize = 7_000;
 const PROBES: usize = 90;
 
 /// The camera-frame translation that brings the remembered object to the place in the image that most resembles
