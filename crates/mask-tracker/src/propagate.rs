@@ -21,6 +21,10 @@ use crate::volume::Volume;
 use crate::warp::{Sample, align, bounds, moved, trimmed_bounds};
 use crate::{Prior, Segmentation, VideoSegmenter};
 
+/// A place found by searching the whole image is the object's if its points disagree less with it on average: half of
+/// what [`align`] gives to a point that falls outside the image.
+const MISMATCH: f32 = 0.4;
+
 /// Settings of [`Propagate`]; the defaults suit consumer depth cameras and objects of 3 cm to 50 cm.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Options {
@@ -125,7 +129,14 @@ impl Propagate {
         Isometry3::from_parts(Translation3::from(velocity), UnitQuaternion::identity())
     }
 
-    fn try_motion(&self, frame: &RgbdFrame, prior: &Prior<'_>, motion: Isometry3<f32>) -> Option<Work> {
+    /// Labels the frame with the last one's samples moved by `motion`, or by a better alternative.
+    fn try_motion(
+        &self,
+        frame: &RgbdFrame,
+        prior: &Prior<'_>,
+        motion: Isometry3<f32>,
+        alternatives: bool,
+    ) -> Option<Work> {
         let memory = self.memory.as_ref()?;
         let size = frame.color.size();
         let camera = Camera::new(&frame.intrinsics, size);
@@ -151,7 +162,8 @@ impl Propagate {
         // last step repeated, which would otherwise creep by fractions of a cell.
         let still = (Isometry3::identity(), 2, if posed { 0.02 } else { -0.004 });
         let steady = (Self::steady_motion(memory), radius, 0.02);
-        for (other, radius, handicap) in [still, steady].into_iter().take(if posed { 2 } else { 1 }) {
+        let count = if alternatives { 1 + usize::from(posed) } else { 0 };
+        for (other, radius, handicap) in [still, steady].into_iter().take(count) {
             let (shift, cost) = fit(&other, radius);
             if cost + handicap < lowest {
                 lowest = cost + handicap;
@@ -344,7 +356,7 @@ impl VideoSegmenter for Propagate {
         let motion = Self::predicted_motion(memory, prior);
         // A lost object must be more certain to be taken back than one in view has to be to be kept.
         let threshold = if missing { 0.6 } else { self.options.min_confidence };
-        let mut work = self.try_motion(frame, prior, motion);
+        let mut work = self.try_motion(frame, prior, motion, true);
         // Not seen, or only a poor match where it was expected: is there a better one anywhere else?
         let seen = work.as_ref().filter(|w| self.present(w, threshold));
         let mismatch = seen.map_or(f32::INFINITY, |w| w.mismatch);
@@ -358,11 +370,13 @@ impl VideoSegmenter for Propagate {
                         redetect::search(frame, &self.appearance, &m.samples, &motion, &camera)
                     })
                 })
-                .and_then(|shift| self.try_motion(frame, &Prior::default(), shift * motion));
+                // No alternatives: an object that has come nearer since would lie before all of them, which speaks
+                // neither for nor against them.
+                .and_then(|shift| self.try_motion(frame, &Prior::default(), shift * motion, false));
             if let Some(again) = elsewhere
                 && self.present(&again, 0.6)
                 && again.found.coverage > 0.3
-                && again.mismatch < mismatch - 0.05
+                && again.mismatch < MISMATCH.min(mismatch - 0.05)
             {
                 work = Some(again);
             }

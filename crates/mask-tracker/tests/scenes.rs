@@ -204,6 +204,38 @@ fn hidden_completely_is_gone_until_it_shows_again() {
 }
 
 #[test]
+fn hidden_completely_and_back_nearer_turned_and_in_a_dimmer_light() {
+    let before = Scene { object: Some(([0.0, 0.0, 0.75], 0.0)), ..Scene::default() };
+    let after = Scene { object: Some(([0.0, 0.0, 0.62], 0.35)), ..Scene::default() };
+    let mut segmenter = Propagate::default();
+    let (frame, mask) = render(&before, 0);
+    segmenter.start(&frame, &mask);
+    for k in 1..16 {
+        let (mut frame, truth) = render(if k < 10 { &before } else { &after }, k);
+        let covered = match k {
+            6 => 90,
+            7..12 => SIZE.0,
+            _ => 0,
+        };
+        for y in 0..SIZE.1 {
+            for x in 0..covered {
+                frame.depth[(x, y)] = 0.4;
+                frame.color[(x, y)] = [205, 150, 125];
+            }
+        }
+        if k >= 12 {
+            frame.color = frame.color.map(|c| c.map(|c| c - c / 8));
+        }
+        let found = step(&mut segmenter, &frame, &Prior::default());
+        match k {
+            7..12 => assert_eq!(found.area, 0, "frame {k}"),
+            12.. => assert!(iou(&found.mask, &truth) > 0.9, "frame {k}: {:.2}", iou(&found.mask, &truth)),
+            _ => (),
+        }
+    }
+}
+
+#[test]
 fn hidden_bit_by_bit_until_nothing_is_left_it_is_all_taken_back_at_once() {
     let object = Some(([0.0, 0.0, 0.9], 0.0));
     let mut segmenter = Propagate::default();
