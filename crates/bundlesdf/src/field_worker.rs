@@ -3,7 +3,7 @@
 use std::{
     panic::{AssertUnwindSafe, catch_unwind},
     sync::{
-        Arc, Mutex, PoisonError,
+        Arc, Mutex, OnceLock, PoisonError,
         atomic::{AtomicBool, AtomicUsize, Ordering},
     },
     time::{Duration, Instant},
@@ -11,6 +11,7 @@ use std::{
 
 use nalgebra::Isometry3;
 use neural_field::{Control, Device, FieldConfig, FieldError, TrainedField};
+use rayon::{ThreadPool, ThreadPoolBuilder};
 
 use crate::{
     config::{FieldDevice, GraphConfig},
@@ -83,10 +84,17 @@ impl FieldWorker {
         let count = AtomicUsize::new(0);
         // One round at a time: nobody waits for the lock, and a device stays open between rounds and threads.
         let place = Mutex::new(Place::new(device));
+        let threads = OnceLock::new();
         let work = move |request: FieldRequest, stop: &AtomicBool| {
             let number = count.fetch_add(1, Ordering::Relaxed);
             let mut place = place.lock().unwrap_or_else(PoisonError::into_inner);
-            round(&mut place, &request, stop, || hook.as_ref().map_or(Ok(()), |hook| hook(number)))
+            let place = &mut *place;
+            let before = || hook.as_ref().map_or(Ok(()), |hook| hook(number));
+            let mut round = || round(place, &request, stop, before);
+            match threads.get_or_init(own_threads) {
+                Some(threads) => threads.install(&mut round),
+                None => round(),
+            }
         };
         Self { link: Link::new(Arc::new(work)) }
     }
@@ -112,6 +120,14 @@ impl FieldWorker {
     pub(crate) fn wait(&mut self, stop: &AtomicBool) -> Option<FieldReply> {
         self.link.wait(|| stop.load(Ordering::Relaxed)).map(flatten)
     }
+}
+
+/// As many threads as others share, for the field alone: on shared ones every loop of the tracker, tens a frame, would
+/// wait until a piece of the field's work is done. `None` where the system gives no more threads.
+fn own_threads() -> Option<ThreadPool> {
+    let name = |i: usize| format!("field-{i}");
+    let threads = ThreadPoolBuilder::new().num_threads(rayon::current_num_threads()).thread_name(name);
+    threads.build().ok()
 }
 
 fn flatten(reply: Result<FieldReply, Gone>) -> FieldReply {
@@ -236,6 +252,22 @@ pub(crate) fn train_field(
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn rounds_have_threads_of_their_own() {
+        let name = Arc::new(Mutex::new(None));
+        let seen = name.clone();
+        let hook: RoundHook = Arc::new(move |_| {
+            *seen.lock().unwrap() =
+                rayon::current_thread_index().and(std::thread::current().name().map(String::from));
+            Err("enough".into())
+        });
+        let mut worker = FieldWorker::new(FieldDevice::Cpu, Some(hook));
+        let (graph, round) = (GraphConfig::default(), Round::PoseGraph);
+        worker.submit(FieldRequest { round, graph, edges: Vec::new(), frames: Vec::new() }).unwrap();
+        assert!(worker.wait(&AtomicBool::new(false)).unwrap().is_err());
+        assert!(name.lock().unwrap().as_ref().is_some_and(|n| n.starts_with("field-")));
+    }
 
     #[test]
     fn a_thread_that_ended_is_reported_and_the_next_job_starts_another() {

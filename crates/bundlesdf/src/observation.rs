@@ -1,11 +1,14 @@
 //! What the tracker keeps of a frame: the object's crop with clean depth, normals and an image pyramid.
 
-use std::sync::{Arc, OnceLock};
+use std::{
+    borrow::Cow,
+    sync::{Arc, OnceLock},
+};
 
 use matcher::{
     Features,
     corners::{CornerOptions, detect_corners},
-    gray::{Pyramid, to_gray},
+    gray::{Pyramid, Rect, to_gray},
 };
 use nalgebra::{Isometry3, Point3, Vector3};
 use neural_field::FieldImages;
@@ -89,14 +92,19 @@ impl Observation {
             return Err(Unusable::Malformed);
         }
         let working = WorkingImages::new(frame, mask, p);
-        let eroded = erode(&working.mask, p.mask_erosion);
-        let bounds = mask_box(&eroded, p.min_mask_pixels).ok_or(Unusable::NoMask)?;
-        let [x0, y0, width, height] = with_margin(bounds, eroded.size());
+        // All of the object, and enough around it to know its border.
+        let around = Rect::around_mask(&working.mask, p.mask_erosion).ok_or(Unusable::NoMask)?;
+        let eroded = erode(&around.cut(&working.mask), p.mask_erosion);
+        let inner = mask_box(&eroded, p.min_mask_pixels).ok_or(Unusable::NoMask)?;
+        let [left, top, right, bottom] = inner;
+        let bounds = [left + around.x, top + around.y, right + around.x, bottom + around.y];
+        let [x0, y0, width, height] = with_margin(bounds, working.mask.size());
+        let rect = Rect { x: x0, y: y0, width, height };
 
         let zoom = zoom_for(bounds);
-        let crop_mask = zoom_nearest(&crop(&eroded, [x0, y0, width, height]), zoom);
-        let color = zoom_bilinear(&crop(&working.color, [x0, y0, width, height]), zoom);
-        let raw = zoom_nearest(&crop(&working.depth, [x0, y0, width, height]), zoom);
+        let crop_mask = zoom_nearest(recut(&eroded, around, rect), zoom);
+        let color = zoom_bilinear(working.color(rect), zoom);
+        let raw = zoom_nearest(working.depth(rect), zoom);
         let intrinsics = working.intrinsics.cropped(x0, y0).scaled(zoom as f64, zoom as f64);
         let (width, height) = crop_mask.size();
 
@@ -247,42 +255,61 @@ fn is_plausible(k: &Intrinsics, (width, height): (usize, usize)) -> bool {
     k.is_valid() && corners.iter().flatten().all(|v| v.abs() <= WIDEST)
 }
 
-/// The frame at working resolution.
-struct WorkingImages {
-    color: Image<[u8; 3]>,
-    depth: Image<f32>,
-    mask: Mask,
+/// The frame at working resolution: images are made where they are asked for, because the object is a small part.
+struct WorkingImages<'a> {
+    frame: &'a RgbdFrame,
+    mask: Cow<'a, Mask>,
     intrinsics: Intrinsics,
+    /// Pixels of the frame to one of these, in both directions.
+    factor: usize,
+    depth_range: [f32; 2],
 }
 
-impl WorkingImages {
-    fn new(frame: &RgbdFrame, mask: &Mask, p: &PreprocessConfig) -> Self {
-        let in_range = |d: &f32| if *d >= p.min_depth && *d <= p.max_depth { *d } else { 0.0 };
+impl<'a> WorkingImages<'a> {
+    fn new(frame: &'a RgbdFrame, mask: &'a Mask, p: &PreprocessConfig) -> Self {
         let (width, height) = frame.color.size();
         let factor = (width.min(height) / p.working_side).max(1);
-        if factor == 1 {
-            return Self {
-                color: frame.color.clone(),
-                depth: frame.depth.map(in_range),
-                mask: mask.clone(),
-                intrinsics: frame.intrinsics,
-            };
+        let mut working = Self {
+            frame,
+            mask: Cow::Borrowed(mask),
+            intrinsics: frame.intrinsics,
+            factor,
+            depth_range: [p.min_depth, p.max_depth],
+        };
+        if factor > 1 {
+            let (all, centre) =
+                (Rect { x: 0, y: 0, width: width / factor, height: height / factor }, factor / 2);
+            let shift = centre as f64 - (factor as f64 - 1.0) / 2.0;
+            working.intrinsics = frame.intrinsics.scaled(1.0 / factor as f64, 1.0 / factor as f64);
+            working.intrinsics.cx -= shift / factor as f64;
+            working.intrinsics.cy -= shift / factor as f64;
+            working.mask = Cow::Owned(working.nearest(mask, all));
         }
-        let (w, h) = (width / factor, height / factor);
-        // Depth and mask are taken from the pixel nearest to the block's centre: averaging would invent surfaces.
-        let centre = factor / 2;
-        let shift = centre as f64 - (factor as f64 - 1.0) / 2.0;
-        let mut intrinsics = frame.intrinsics.scaled(1.0 / factor as f64, 1.0 / factor as f64);
-        intrinsics.cx -= shift / factor as f64;
-        intrinsics.cy -= shift / factor as f64;
-        Self {
-            color: Image::from_fn(w, h, |x, y| block_mean(&frame.color, x * factor, y * factor, factor)),
-            depth: Image::from_fn(w, h, |x, y| {
-                in_range(&frame.depth[(x * factor + centre, y * factor + centre)])
-            }),
-            mask: Image::from_fn(w, h, |x, y| mask[(x * factor + centre, y * factor + centre)]),
-            intrinsics,
+        working
+    }
+
+    fn color(&self, rect: Rect) -> Image<[u8; 3]> {
+        let (color, f) = (&self.frame.color, self.factor);
+        if f == 1 {
+            return rect.cut(color);
         }
+        let mean = |x: usize, y: usize| block_mean(color, (rect.x + x) * f, (rect.y + y) * f, f);
+        Image::from_fn(rect.width, rect.height, mean)
+    }
+
+    fn depth(&self, rect: Rect) -> Image<f32> {
+        let [least, most] = self.depth_range;
+        self.nearest(&self.frame.depth, rect).map(|d| if *d >= least && *d <= most { *d } else { 0.0 })
+    }
+
+    /// Depth and mask are taken from the pixel nearest to the block's centre: averaging would invent surfaces.
+    fn nearest<T: Copy + Default>(&self, image: &Image<T>, rect: Rect) -> Image<T> {
+        let (f, centre) = (self.factor, self.factor / 2);
+        if f == 1 {
+            return rect.cut(image);
+        }
+        let pixel = |x: usize, y: usize| image[((rect.x + x) * f + centre, (rect.y + y) * f + centre)];
+        Image::from_fn(rect.width, rect.height, pixel)
     }
 }
 
@@ -332,8 +359,18 @@ fn with_margin([x0, y0, x1, y1]: [usize; 4], (width, height): (usize, usize)) ->
     [left, top, right - left, bottom - top]
 }
 
-fn crop<T: Clone>(image: &Image<T>, [x0, y0, width, height]: [usize; 4]) -> Image<T> {
-    Image::from_fn(width, height, |x, y| image[(x0 + x, y0 + y)].clone())
+/// The part `wanted` of an image of which `part`, at `at`, is all that isn't zero.
+fn recut(part: &Mask, at: Rect, wanted: Rect) -> Mask {
+    let mut cut = Image::filled(wanted.width, wanted.height, 0);
+    let (left, right) = (at.x.max(wanted.x), (at.x + at.width).min(wanted.x + wanted.width));
+    for y in at.y.max(wanted.y)..(at.y + at.height).min(wanted.y + wanted.height) {
+        let start = (y - wanted.y) * wanted.width;
+        if left < right {
+            let row = &part.row(y - at.y)[left - at.x..right - at.x];
+            cut.pixels_mut()[start + left - wanted.x..start + right - wanted.x].copy_from_slice(row);
+        }
+    }
+    cut
 }
 
 fn pyramid_levels(width: usize, height: usize) -> usize {
@@ -405,6 +442,26 @@ fn field_images(
 #[cfg(test)]
 pub(crate) mod tests {
     use super::*;
+
+    #[test]
+    fn the_crop_is_that_of_the_whole_image_eroded() {
+        let config = Config::default();
+        let (frame, _) = flat_frame(120, 90);
+        // In the middle, and cut off by the image's borders.
+        for (x0, y0, radius) in [(60, 45, 20), (4, 50, 25), (116, 86, 30), (60, 45, 200)] {
+            let mask = Image::from_fn(120, 90, |x, y| {
+                255 * u8::from(x.abs_diff(x0).pow(2) + y.abs_diff(y0).pow(2) < radius * radius)
+            });
+            let o = Observation::new(0, &frame, &mask, &config).unwrap();
+            let (whole, width) = (erode(&mask, config.preprocess.mask_erosion), o.mask.width());
+            for (k, m) in o.mask.pixels().iter().enumerate() {
+                let at = [k % width / o.zoom + o.origin[0], k / width / o.zoom + o.origin[1]];
+                assert_eq!(*m, whole[(at[0], at[1])], "{at:?}");
+            }
+            let count = |mask: &Mask| mask.pixels().iter().filter(|m| **m != 0).count();
+            assert_eq!(count(&o.mask), count(&whole) * o.zoom * o.zoom);
+        }
+    }
 
     fn flat_frame(width: usize, height: usize) -> (RgbdFrame, Mask) {
         let frame = RgbdFrame {

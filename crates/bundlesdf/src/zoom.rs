@@ -13,18 +13,18 @@ pub(crate) fn zoom_for([x0, y0, x1, y1]: [usize; 4]) -> usize {
 }
 
 /// Every pixel `zoom` times in both directions: for depth and masks, whose values must not mix.
-pub(crate) fn zoom_nearest<T: Clone>(image: &Image<T>, zoom: usize) -> Image<T> {
+pub(crate) fn zoom_nearest<T: Clone>(image: Image<T>, zoom: usize) -> Image<T> {
     if zoom == 1 {
-        return image.clone();
+        return image;
     }
     let (width, height) = image.size();
     Image::from_fn(width * zoom, height * zoom, |x, y| image[(x / zoom, y / zoom)].clone())
 }
 
 /// Bilinear between pixel centres, which are at integers.
-pub(crate) fn zoom_bilinear(image: &Image<[u8; 3]>, zoom: usize) -> Image<[u8; 3]> {
+pub(crate) fn zoom_bilinear(image: Image<[u8; 3]>, zoom: usize) -> Image<[u8; 3]> {
     if zoom == 1 || image.is_empty() {
-        return image.clone();
+        return image;
     }
     let (width, height) = image.size();
     // Lower neighbour, upper neighbour and the upper one's share.
@@ -51,13 +51,13 @@ mod tests {
     #[test]
     fn a_ramp_stays_a_ramp_and_labels_stay_labels() {
         let ramp = Image::from_fn(8, 2, |x, _| [20 * x as u8; 3]);
-        let large = zoom_bilinear(&ramp, 2);
+        let large = zoom_bilinear(ramp, 2);
         assert_eq!(large.size(), (16, 4));
         for x in 1..15 {
             let expected = 20.0 * ((x as f32 + 0.5) / 2.0 - 0.5);
             assert!((f32::from(large[(x, 1)][0]) - expected).abs() <= 0.5);
         }
-        let labels = zoom_nearest(&Image::from_fn(2, 1, |x, _| x as u8), 3);
+        let labels = zoom_nearest(Image::from_fn(2, 1, |x, _| x as u8), 3);
         assert_eq!(labels.row(2), [0, 0, 0, 1, 1, 1]);
     }
 

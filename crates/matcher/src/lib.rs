@@ -50,6 +50,8 @@ pub mod learned;
 pub mod matching;
 pub mod ransac;
 pub mod scale_space;
+mod simd;
+mod window;
 
 pub use corners::{CornerOptions, detect_corners, detect_new_corners};
 pub use crop::{CropOptions, RollCrop, roll_between};

@@ -33,6 +33,8 @@ pub(crate) struct Cloud<'a> {
     /// Metres per pixel of offset and metre of depth that a ray at least keeps from a point.
     pub(crate) reach: f32,
     samples: Vec<Samples>,
+    /// Pixels that each of the samples stands for.
+    share: f64,
     /// Every `stride`-th of the samples.
     coarse: Vec<Samples>,
     stride: usize,
@@ -47,9 +49,10 @@ pub(crate) struct Cloud<'a> {
 }
 
 impl<'a> Cloud<'a> {
-    /// While the gates are wide about `coarse` samples are matched.
-    pub(crate) fn new(view: &'a DenseView, options: &SolveOptions, coarse: usize) -> Self {
-        let pixels = view.spread(options.max_dense_per_edge);
+    /// At most `most` samples are matched, while the gates are wide about `coarse`.
+    pub(crate) fn new(view: &'a DenseView, options: &SolveOptions, (most, coarse): (usize, usize)) -> Self {
+        let pixels = view.spread(most);
+        let wanted = view.spread(options.max_dense_per_edge);
         let points = || pixels.clone().map(|k| in_three(&view.pixels[k as usize].point));
         let extent = Extent::of(points());
         let centre: [f32; 3] = extent.centre.cast::<f32>().into();
@@ -74,6 +77,7 @@ impl<'a> Cloud<'a> {
             reach: (1.0 / ((1.0 + x * x + y * y).sqrt() * focal)) as f32,
             samples: in_lanes(view, pixels.clone(), options),
             coarse: in_lanes(view, every, options),
+            share: wanted.len() as f64 / pixels.len().max(1) as f64,
             stride,
             pixel_size: centre[2] / focal as f32,
             extent,
@@ -82,9 +86,9 @@ impl<'a> Cloud<'a> {
         }
     }
 
-    /// The samples to match under these gates, and how many pixels of the whole sample each stands for.
-    pub(crate) fn samples(&self, gates: &Gates) -> (&[Samples], usize) {
-        if gates.last { (&self.samples, 1) } else { (&self.coarse, self.stride) }
+    /// The samples to match under these gates, and how many of an edge's pixels each stands for.
+    pub(crate) fn samples(&self, gates: &Gates) -> (&[Samples], f64) {
+        if gates.last { (&self.samples, self.share) } else { (&self.coarse, self.share * self.stride as f64) }
     }
 }
 

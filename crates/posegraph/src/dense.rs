@@ -69,9 +69,9 @@ impl DenseTerm {
         self.associated = Some((target_from_source, *gates));
         self.search(&target_from_source, clouds, gates, options);
         // A sample that stands for several has their weight.
-        let (_, stride) = clouds.0.samples(gates);
+        let (_, stands_for) = clouds.0.samples(gates);
         let cap = options.dense_cap / (self.matches.count() as f64);
-        self.scale = options.dense_weight * cap.min(stride as f64);
+        self.scale = options.dense_weight * cap.min(stands_for);
     }
 
     /// Whether no sample has moved notably since the last search.

@@ -41,6 +41,11 @@ pub struct SolveOptions {
     pub sdf_cap: f64,
     /// Source pixels of one dense edge at most, spread evenly over the valid ones.
     pub max_dense_per_edge: usize,
+    /// Source pixels of all dense edges together, about: beyond that every edge gets its share, but at least
+    /// `min_dense_per_edge`, and each pixel stands for several. The many edges of a node tell the same.
+    pub max_dense: usize,
+    /// Share of an edge at least.
+    pub min_dense_per_edge: usize,
     /// Pixels less than this away from the projection, in both directions, are compared at the first iteration; at
     /// least 1.
     pub association_radius_initial: usize,
@@ -91,6 +96,8 @@ impl Default for SolveOptions {
             dense_cap: 400.0,
             sdf_cap: 1000.0,
             max_dense_per_edge: 800,
+            max_dense: usize::MAX,
+            min_dense_per_edge: 200,
             association_radius_initial: 3,
             association_radius: 1,
             max_distance_initial: 0.02,
@@ -136,6 +143,12 @@ impl SolveOptions {
             min_cosine: mix(self.max_normal_angle_initial, self.max_normal_angle).cos() as f32,
             last: t >= 1.0,
         }
+    }
+
+    /// Source pixels of each of so many dense edges at most.
+    pub(crate) fn dense_share(&self, edges: usize) -> usize {
+        let share = (self.max_dense / edges.max(1)).max(self.min_dense_per_edge);
+        share.min(self.max_dense_per_edge)
     }
 
     /// Variance of one depth measurement at depth `z`, square metres.

@@ -70,8 +70,9 @@ impl<'a> Problem<'a> {
         dense.sort_by_key(|t: &DenseTerm| t.target);
         let views: Vec<_> = graph.views.iter().zip(has_dense).map(|(&v, used)| v.filter(|_| used)).collect();
         let mut clouds = Vec::new();
-        let coarse = coarse_samples(graph.dense_edges.len());
-        parallel::map_into(&views, &mut clouds, |view| view.map(|view| Cloud::new(view, options, coarse)));
+        let edges = graph.dense_edges.len();
+        let samples = (options.dense_share(edges), coarse_samples(edges));
+        parallel::map_into(&views, &mut clouds, |view| view.map(|view| Cloud::new(view, options, samples)));
         let with_sdf = graph.sdf_terms.iter().filter(|t| free(t.node) && options.sdf_weight > 0.0);
         let mut problem = Self {
             features,

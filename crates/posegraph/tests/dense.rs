@@ -148,6 +148,32 @@ fn faster_sums_and_searches_leave_the_optimum_where_it_is() {
     }
 }
 
+/// Edges that share their pixels meet where edges that have all of theirs do, and know as much.
+#[test]
+fn a_share_of_the_pixels_finds_the_same_poses_with_the_same_information() {
+    let truth: Vec<_> = (0..4).map(|k| orbit(0.5, 0.2 * k as f64, 0.1 * k as f64)).collect();
+    let mut rng = rng(65);
+    let views: Vec<DenseView> = truth.iter().map(|t| render(bumpy, t, 120, 0.0, &mut rng)).collect();
+    let mut graph = PoseGraph::new();
+    for (k, t) in truth.iter().enumerate() {
+        graph.add_node(if k == 0 { node(*t, true) } else { node(disturb(&mut rng, t, 0.004, 2.0), false) });
+        graph.set_view(k, &views[k]).unwrap();
+        (0..k).for_each(|o| graph.add_dense_edge(DenseEdge { source: k, target: o }).unwrap());
+    }
+    let all = SolveOptions { max_iterations: 30, ..SolveOptions::default() };
+    let shared = SolveOptions { max_dense: 6 * 290, ..all.clone() };
+    let [all, shared] = [all, shared].map(|options| solve(&graph, &options).unwrap());
+    let (of_all, of_shared): (usize, usize) =
+        (all.dense_inliers.iter().sum(), shared.dense_inliers.iter().sum());
+    assert!(2 * of_shared < of_all && of_shared > 0, "{of_shared} of {of_all}");
+    for k in 1..4 {
+        let (t, r) = error(&all.poses[k], &shared.poses[k]);
+        assert!(t < 2e-4 && r < 0.15, "{t} m, {r} deg");
+        let [known, still_known] = [&all, &shared].map(|s| s.covariances[k].unwrap().trace());
+        assert!((0.8..1.25).contains(&(still_known / known)), "{known} {still_known}");
+    }
+}
+
 /// However many threads there are, the bits are the same.
 #[cfg(feature = "rayon")]
 #[test]

@@ -26,6 +26,9 @@ pub(crate) struct TrackerArgs {
     /// Stop after this many frames of each sequence.
     #[arg(long, value_name = "N")]
     frames: Option<usize>,
+    /// Only without a field.
+    #[arg(long)]
+    alone: bool,
     /// Configuration file for the system.
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
@@ -92,7 +95,7 @@ struct Row {
     lost: usize,
 }
 
-/// Tracks every sequence twice and prints a table.
+/// Tracks every sequence in each way and prints a table.
 pub(super) fn run(args: &TrackerArgs) -> anyhow::Result<ExitCode> {
     let config = match &args.config {
         None => Config::default(),
@@ -108,18 +111,19 @@ pub(super) fn run(args: &TrackerArgs) -> anyhow::Result<ExitCode> {
     } else {
         args.dir.clone()
     };
+    let ways = if args.alone { vec![Beside::Nothing] } else { vec![Beside::Nothing, Beside::Field] };
     let mut rows = Vec::new();
     println!("{}", header());
     for folder in &folders {
         let frames = read(folder, args.frames)?;
-        for beside in [Beside::Nothing, Beside::Field] {
+        for &beside in &ways {
             let name = folder.file_name().unwrap_or_default().to_string_lossy().into_owned();
             let row = track(name, &frames, &config, beside)?;
             println!("{}", row.line());
             rows.push(row);
         }
     }
-    for beside in [Beside::Nothing, Beside::Field] {
+    for &beside in &ways {
         println!("{}", summary(&rows, beside));
     }
     if let Some(path) = &args.json {

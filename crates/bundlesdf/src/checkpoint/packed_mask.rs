@@ -13,16 +13,21 @@ pub(crate) struct PackedMask {
 
 impl PackedMask {
     pub(crate) fn new(mask: &Mask) -> Self {
-        let mut runs = Vec::new();
-        let (mut object, mut length) = (false, 0);
-        for pixel in mask.pixels() {
-            if (*pixel != 0) != object {
-                runs.push(length);
-                (object, length) = (!object, 0);
+        /// Pixels that are compared at once.
+        const STEP: usize = 32;
+        let (mut runs, mut object, mut rest) = (Vec::new(), false, mask.pixels());
+        loop {
+            let goes_on = |p: &u8| (*p != 0) == object;
+            let whole = |chunk: &&[u8]| chunk.iter().fold(true, |all, p| all & goes_on(p));
+            let skipped = STEP * rest.chunks_exact(STEP).take_while(whole).count();
+            let length = rest.iter().skip(skipped).take_while(|p| goes_on(p)).count() + skipped;
+            runs.push(length as u32);
+            rest = &rest[length..];
+            if rest.is_empty() {
+                break;
             }
-            length += 1;
+            object = !object;
         }
-        runs.push(length);
         Self { width: mask.width() as u32, height: mask.height() as u32, runs }
     }
 

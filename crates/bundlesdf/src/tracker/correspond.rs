@@ -4,6 +4,7 @@
 use matcher::klt::{KltOptions, Track, track_forward_backward};
 use matcher::ransac::LiftedMatch;
 use nalgebra::{Isometry3, Point3, Vector3};
+use rayon::prelude::*;
 
 use crate::{
     observation::Observation,
@@ -49,6 +50,8 @@ pub(crate) fn guided_tracks(
     max_corners: usize,
     options: &KltOptions,
 ) -> Vec<Correspondence> {
+    /// Points that one core tracks at a time.
+    const PART: usize = 40;
     let mut starts = Vec::new();
     let mut points = Vec::new();
     let mut guesses = Vec::new();
@@ -61,7 +64,12 @@ pub(crate) fn guided_tracks(
         guesses.push(guess);
         warps.push(warp);
     }
-    let tracks = track_forward_backward(&from.pyramid, &to.pyramid, &points, &guesses, Some(&warps), options);
+    let in_parts = points.par_chunks(PART).zip(guesses.par_chunks(PART)).zip(warps.par_chunks(PART));
+    let tracks: Vec<_> = in_parts
+        .flat_map_iter(|((points, guesses), warps)| {
+            track_forward_backward(&from.pyramid, &to.pyramid, points, guesses, Some(warps), options)
+        })
+        .collect();
     starts
         .into_iter()
         .zip(tracks)

@@ -2,7 +2,7 @@
 
 use nalgebra::Isometry3;
 use neural_field::TrainedField;
-use posegraph::{DenseEdge, FeatureEdge, Node, PoseGraph, SdfTerm, solve};
+use posegraph::{DenseEdge, FeatureEdge, Node, PoseGraph, SdfTerm, SolveOptions, solve};
 use se3_lie::distance::swing_angle;
 
 use super::{Uncertainty, correspond::Correspondence};
@@ -12,6 +12,10 @@ use crate::{
     observation::Observation,
     pool::{MemoryEdge, MemoryPool},
 };
+
+/// Pixels that all dense edges of a frame compare, about: with ten keyframes every pose is tied by thousands of them,
+/// and the time of a frame is not one of its object's.
+const MAX_DENSE: usize = 16_000;
 
 /// The new frame and what it is compared with.
 pub(super) struct GraphProblem<'a> {
@@ -89,7 +93,9 @@ impl GraphProblem<'_> {
             let points = self.observation.sdf_points(self.config.sdf_points);
             graph.add_sdf_term(SdfTerm { node: new, points, model }).ok()?;
         }
-        let solution = solve(&graph, &self.config.solve_options(self.field.is_some())).ok()?;
+        let options =
+            SolveOptions { max_dense: MAX_DENSE, ..self.config.solve_options(self.field.is_some()) };
+        let solution = solve(&graph, &options).ok()?;
         let pose = *solution.poses.get(new)?;
         let moved = self.selected.iter().enumerate().filter(|(node, _)| !fixed[*node]);
         let moved =

@@ -169,16 +169,14 @@ impl Tracker {
     pub fn track(&mut self, frame: &RgbdFrame) -> FrameResult {
         let index = self.next_index;
         self.next_index += 1;
-        let _span = tracing::info_span!("frame", index, id = frame.id).entered();
+        let span = tracing::info_span!("frame", index, id = frame.id);
+        let _entered = span.enter();
         self.poll_field();
         let start = Instant::now();
-        let mut times = StageTimes::default();
-        let masked = self.segment(frame);
-        self.mask = Some(masked.mask().clone());
-        times.segment = start.elapsed();
-        let mut result = self.track_masked(index, frame, masked, &mut times);
-        times.total = start.elapsed();
-        result.times = times;
+        // On a thread of the pool: a loop that starts outside of it waits until one of its threads wakes, tens of times a
+        // frame.
+        let mut result = rayon::scope(|_| span.in_scope(|| self.track_in_stages(index, frame)));
+        result.times.total = start.elapsed();
         if self.round_is_due() {
             self.start_round();
             if self.schedule == Schedule::Lockstep {
@@ -199,6 +197,16 @@ impl Tracker {
         self.next_index += 1;
         self.mask = None;
         self.lost(index, id)
+    }
+
+    fn track_in_stages(&mut self, index: usize, frame: &RgbdFrame) -> FrameResult {
+        let start = Instant::now();
+        let mut times = StageTimes::default();
+        let masked = self.segment(frame);
+        self.mask = Some(masked.mask().clone());
+        times.segment = start.elapsed();
+        let result = self.track_masked(index, frame, masked, &mut times);
+        FrameResult { times, ..result }
     }
 
     fn track_masked(

@@ -5,13 +5,15 @@
 //! the motion is the *residual* one: gates on it act alike near and far. "No model" is an answer: a motion outside the
 //! gates is never scored and cannot leak its inliers.
 
-mod triangle;
-mod votes;
+pub(crate) mod triangle;
+pub(crate) mod votes;
 
 use nalgebra::{Isometry3, Matrix3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 use se3_lie::align::rigid_alignment;
+
+use crate::simd;
 use triangle::Motion;
 use votes::Votes;
 
@@ -218,7 +220,7 @@ impl<'a> Problem<'a> {
                 continue;
             }
             scored += 1;
-            let score = votes.score(&motion);
+            let score = simd::score(&votes, &motion);
             if score > best.as_ref().map_or(0.0, |b| b.0) {
                 best = Some((score, motion));
             }

@@ -4,9 +4,9 @@ use nalgebra::{Matrix3, Point3, Vector3};
 
 /// A rigid motion as a matrix, `p -> rotation * p + translation`.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Motion {
-    pub(super) rotation: Matrix3<f64>,
-    pub(super) translation: Vector3<f64>,
+pub(crate) struct Motion {
+    pub(crate) rotation: Matrix3<f64>,
+    pub(crate) translation: Vector3<f64>,
 }
 
 /// Whether two triangles can be images of each other: every edge agrees to `tolerance`, and no altitude of either is

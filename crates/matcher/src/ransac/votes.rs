@@ -22,7 +22,7 @@ struct Block {
 }
 
 /// All matches in blocks; the last one is filled with weight 0.
-pub(super) struct Votes {
+pub(crate) struct Votes {
     blocks: Vec<Block>,
     min_cos: f32,
 }
@@ -58,7 +58,8 @@ impl Votes {
     }
 
     /// Sum of `weight * (1 - r^2)` over the inliers, r relative to the thresholds (MSAC: Torr and Zisserman, CVIU 2000).
-    pub(super) fn score(&self, motion: &Motion) -> f32 {
+    #[inline(always)]
+    pub(crate) fn score(&self, motion: &Motion) -> f32 {
         let r: [[f32; 3]; 3] =
             core::array::from_fn(|i| core::array::from_fn(|j| motion.rotation[(i, j)] as f32));
         let t: [f32; 3] = core::array::from_fn(|i| motion.translation[i] as f32);
