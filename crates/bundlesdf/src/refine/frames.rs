@@ -18,16 +18,20 @@ use crate::{
 /// Less depth agreement than this contradicts a pose.
 const CONVINCING: f64 = 0.5;
 
-/// All frames, with their keyframes as given.
+/// All frames, with their keyframes as given. The field counts by the weight that its poses had against matches and
+/// depth.
 pub(super) fn place_all(
     run: &Run<'_>,
     reports: &[FrameReport],
     keyframes: &[keyframes::Keyframe],
-    field: &TrainedField,
+    (field, weight): (&TrainedField, f64),
     stop: &AtomicBool,
     progress: &(dyn Fn(Progress) + Sync),
 ) -> Result<Vec<RefinedFrame>, RefineError> {
     let pool = pool(keyframes);
+    let mut config = run.config.clone();
+    config.graph.sdf_weight *= weight;
+    let run = &Run { config: &config, ..*run };
     let guesses = guesses(run, reports, keyframes)?;
     let done = AtomicUsize::new(0);
     let place = |(index, report): (usize, &FrameReport)| {

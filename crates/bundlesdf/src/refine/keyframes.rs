@@ -6,6 +6,7 @@ use std::sync::{
 };
 
 use nalgebra::Isometry3;
+use neural_field::TrainedField;
 use rayon::prelude::*;
 use se3_lie::distance::swing_angle;
 
@@ -17,7 +18,7 @@ use crate::{
     observation::Observation,
     pool::MemoryEdge,
     report::KeyframeReport,
-    tracker::offline::matched_pair,
+    tracker::offline,
 };
 
 /// Earlier keyframes that each one is matched with, nearest by swing first.
@@ -26,6 +27,7 @@ const PARTNERS: usize = 8;
 const MAX_SWING: f64 = 0.9;
 
 /// A keyframe on its way to its refined pose.
+#[derive(Clone)]
 pub(super) struct Keyframe {
     pub(super) id: String,
     pub(super) observation: Arc<Observation>,
@@ -62,46 +64,104 @@ pub(super) fn read(
     Ok(keyframes.into_iter().flatten().collect())
 }
 
-/// Moves the keyframes to where matches and depth of all pairs agree best; the first one stays. Closes loops that are
-/// wider open than the field's own pull on the poses reaches.
-pub(super) fn align(keyframes: &mut [Keyframe], config: &Config) {
-    let edges: Vec<((usize, usize), MemoryEdge)> = pairs(keyframes)
-        .into_par_iter()
-        .filter_map(|(older, newer)| {
-            let (a, b) = (&keyframes[older], &keyframes[newer]);
-            let edge = matched_pair((&a.observation, &a.refined), (&b.observation, &b.refined), config)?;
-            Some(((a.observation.index, b.observation.index), edge))
-        })
-        .collect();
+/// Matches between the keyframes, by frame index, `(older, newer)`.
+pub(super) type Edges = Vec<((usize, usize), MemoryEdge)>;
+
+/// Matches of each keyframe with those before it that look from nearly the same side.
+pub(super) fn matches(keyframes: &[Keyframe], config: &Config) -> Edges {
+    let with_earlier = |(newer, keyframe): (usize, &Keyframe)| {
+        let view = |position: usize| {
+            let other = &keyframes[position];
+            (other.observation.index, (&*other.observation, &other.refined))
+        };
+        let others = partners(keyframes, newer).into_iter().map(view);
+        let (_, edges) = offline::matched(others, &keyframe.observation, &keyframe.refined, config);
+        edges.into_iter().map(|(older, edge)| ((older, keyframe.observation.index), edge)).collect::<Vec<_>>()
+    };
+    let edges: Vec<_> = keyframes.par_iter().enumerate().flat_map_iter(with_earlier).collect();
     tracing::debug!(edges = edges.len(), "keyframes matched with each other");
+    edges
+}
+
+/// Moves the keyframes to where matches and depth of all pairs, and a field that was trained on them, agree best; the
+/// first one stays. What none of these shows of a pose, the turn of a plain can, stays as the tracker had it. Closes loops
+/// that are wider open than the field's own pull on the poses reaches. Answers the weight of the field against matches and
+/// depth, from 0 to 1.
+pub(super) fn align(
+    keyframes: &mut [Keyframe],
+    edges: &Edges,
+    config: &Config,
+    field: Option<&TrainedField>,
+) -> f64 {
     let poses: Vec<_> = keyframes.iter().map(|k| k.refined).collect();
+    let held: Vec<_> = keyframes.iter().map(|k| k.online).collect();
     let request = FieldRequest {
         round: Round::PoseGraph,
         graph: config.graph.clone(),
-        edges,
+        edges: edges.clone(),
         frames: keyframes.iter().map(|k| (k.observation.index, k.observation.clone(), k.refined)).collect(),
     };
-    if let Some(poses) = global_graph::optimise(&request, &poses, None) {
-        for (keyframe, pose) in keyframes.iter_mut().zip(poses) {
-            keyframe.refined = pose;
-        }
+    let Some((poses, weight)) = global_graph::optimise_weighed(&request, &poses, &held, field) else {
+        return 0.0;
+    };
+    for (keyframe, pose) in keyframes.iter_mut().zip(poses) {
+        keyframe.refined = pose;
     }
+    weight
 }
 
-/// Pairs to match, as positions `(older, newer)`: each keyframe with its predecessor and with those before it that
-/// look from nearly the same side.
-fn pairs(keyframes: &[Keyframe]) -> Vec<(usize, usize)> {
-    let mut pairs = Vec::new();
-    for newer in 1..keyframes.len() {
-        let swing =
-            |k: &usize| swing_angle(&keyframes[*k].refined.rotation, &keyframes[newer].refined.rotation);
-        let mut near: Vec<usize> = (0..newer).filter(|k| swing(k) < MAX_SWING).collect();
-        near.sort_by(|a, b| swing(a).total_cmp(&swing(b)));
-        near.truncate(PARTNERS);
-        if !near.contains(&(newer - 1)) {
-            near.push(newer - 1);
-        }
-        pairs.extend(near.into_iter().map(|older| (older, newer)));
+/// Keyframes to match with: the predecessor and those before it that look from nearly the same side.
+fn partners(keyframes: &[Keyframe], newer: usize) -> Vec<usize> {
+    let swing = |k: &usize| swing_angle(&keyframes[*k].refined.rotation, &keyframes[newer].refined.rotation);
+    let mut near: Vec<usize> = (0..newer).filter(|k| swing(k) < MAX_SWING).collect();
+    near.sort_by(|a, b| swing(a).total_cmp(&swing(b)));
+    near.truncate(PARTNERS);
+    if let Some(predecessor) = newer.checked_sub(1)
+        && !near.contains(&predecessor)
+    {
+        near.push(predecessor);
     }
-    pairs
+    near
+}
+
+#[cfg(test)]
+mod tests {
+    use rgbd_synth::Sequence;
+
+    use super::*;
+
+    #[test]
+    fn highlights_do_not_turn_keyframes_that_are_right() {
+        let config = Config::default();
+        let video = Sequence::named("specular").unwrap();
+        let keyframe = |index: usize| {
+            let shot = video.render(index);
+            let observation = Observation::new(index, &shot.frame, &shot.visible_mask, &config).unwrap();
+            let pose = shot.cam_from_obj.inverse();
+            let (id, observation) = (shot.frame.id, Arc::new(observation));
+            Keyframe { id, observation, online: pose, refined: pose }
+        };
+        let truth: Vec<_> = (142..186).step_by(4).map(keyframe).collect();
+        let furthest = |edges: &Edges| {
+            let mut keyframes = truth.clone();
+            align(&mut keyframes, edges, &config, None);
+            let turn = |k: &Keyframe| k.refined.rotation.angle_to(&k.online.rotation).to_degrees();
+            keyframes.iter().map(turn).fold(0.0, f64::max)
+        };
+        let together = furthest(&matches(&truth, &config));
+        assert!(together < 5.0, "turned by {together} degrees");
+
+        // The scene is one where a pair alone believes its highlights.
+        let mut apart = Edges::new();
+        for (newer, keyframe) in truth.iter().enumerate() {
+            for older in partners(&truth, newer) {
+                let (index, other) = (truth[older].observation.index, &truth[older]);
+                let pair = [(index, (&*other.observation, &other.refined))];
+                let (_, edges) = offline::matched(pair, &keyframe.observation, &keyframe.refined, &config);
+                apart.extend(edges.into_iter().map(|(i, edge)| ((i, keyframe.observation.index), edge)));
+            }
+        }
+        let apart = furthest(&apart);
+        assert!(apart > 3.0 * together, "turned by {apart} degrees, {together} together");
+    }
 }

@@ -135,14 +135,13 @@ pub fn refine(
     if keyframes.is_empty() {
         return Err(RefineError::NoKeyframes(folder.path().display().to_string()));
     }
-    keyframes::align(&mut keyframes, run.config);
+    let edges = keyframes::matches(&keyframes, run.config);
+    keyframes::align(&mut keyframes, &edges, run.config, None);
     let begin = Instant::now();
     let field = train(&keyframes, &options.field, stop, progress)?;
     let training = begin.elapsed();
-    for (keyframe, pose) in keyframes.iter_mut().zip(field.poses()) {
-        keyframe.refined = *pose;
-    }
-    let frames = frames::place_all(&run, &report.frames, &keyframes, &field, stop, progress)?;
+    let weight = keyframes::align(&mut keyframes, &edges, run.config, Some(&field));
+    let frames = frames::place_all(&run, &report.frames, &keyframes, (&field, weight), stop, progress)?;
 
     let mesh = if options.close {
         field.extract_closed_mesh(options.spacing)

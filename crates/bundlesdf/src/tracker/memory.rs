@@ -15,21 +15,56 @@ use crate::{observation::Observation, pool::MemoryEdge};
 /// Fewest matches of a keyframe that agree with all others.
 const MIN_AGREEING: usize = 3;
 
+/// Matches of a posed view (a) with a new one (b), not yet verified.
+pub(super) struct ViewTracks<'a> {
+    /// The view's number for the caller.
+    pub(super) position: usize,
+    /// Its `obj_from_cam`.
+    pub(super) pose: &'a Isometry3<f64>,
+    pub(super) tracks: Vec<Correspondence>,
+}
+
+/// Verified matches of a new view by the positions of the posed ones.
+pub(crate) type ViewEdges = Vec<(usize, MemoryEdge)>;
+
+/// The pose of a new view on which most of its matches with posed views agree, and by the views' positions the matches
+/// that follow it; `previous` has a say as well, without an edge of its own. `None` if too few agree.
+///
+/// A highlight or a hand's shadow stays in place while the object turns under it: each view alone may agree on a wrong
+/// motion, but each on another one, since each saw it elsewhere on the object. A view that contradicts the others is
+/// believed where it has a majority of its own and lies near: then its pose has drifted, and the pose graph can mend
+/// that.
+pub(super) fn agreeing_edges(
+    views: &[ViewTracks<'_>],
+    previous: Option<(&Isometry3<f64>, &[Correspondence])>,
+    guess: &Isometry3<f64>,
+    search: &Search<'_>,
+) -> Option<(Isometry3<f64>, ViewEdges)> {
+    let groups: Vec<_> = views.iter().map(|v| (v.pose, v.tracks.as_slice())).chain(previous).collect();
+    let (pose, agreeing) = joint_motion(&groups, guess, search)?;
+    let edge = |(view, agreeing): (&ViewTracks<'_>, Vec<Correspondence>)| {
+        if agreeing.len() >= MIN_AGREEING {
+            return Some((view.position, MemoryEdge::from_matches(&agreeing)));
+        }
+        let search = Search { gates: Gates::DRIFT, ..*search };
+        let own = coarse_from_matches(view.tracks.clone(), view.pose, &pose, &search)?;
+        let majority = 2 * own.matches.len() >= view.tracks.len().max(4 * search.min_inliers);
+        majority.then(|| (view.position, MemoryEdge::from_matches(&own.matches)))
+    };
+    let edges = views.iter().zip(agreeing).filter_map(edge).collect();
+    Some((pose, edges))
+}
+
 impl Tracker {
     /// The guess, corrected by the motion that most matches with memory and with the previous frame share, and by
-    /// position in the pool the matches that follow it.
-    ///
-    /// A highlight or a hand's shadow stays in place while the object turns under it: each keyframe alone may agree on
-    /// a wrong motion, but each on another one, since each saw it elsewhere on the object. A keyframe that contradicts
-    /// the others is believed where it has a majority of its own and lies near: then its pose has drifted, and the
-    /// pose graph can mend that.
+    /// position in the pool the matches that follow it (see [`agreeing_edges`]).
     pub(super) fn memory_edges(
         &self,
         observation: &Observation,
         guess: Isometry3<f64>,
         coarse: Option<&CoarsePose>,
         selected: &[usize],
-    ) -> (Isometry3<f64>, Vec<(usize, MemoryEdge)>) {
+    ) -> (Isometry3<f64>, ViewEdges) {
         let tracks = self.memory_tracks(observation, &guess, selected);
         let search = Search {
             config: &self.config.coarse,
@@ -39,29 +74,8 @@ impl Tracker {
             swing: Search::MEMORY_SWING,
             seed: self.config.seed ^ ((observation.index as u64) << 20),
         };
-        let keyframes = self.pool.keyframes();
-        let mut groups: Vec<(&Isometry3<f64>, &[Correspondence])> = tracks
-            .iter()
-            .filter_map(|(position, t)| Some((&keyframes.get(*position)?.obj_from_cam, t.as_slice())))
-            .collect();
-        if let (Some(reference), Some(coarse)) = (&self.reference, coarse) {
-            groups.push((&reference.pose, &coarse.matches));
-        }
-        let Some((pose, agreeing)) = joint_motion(&groups, &guess, &search) else {
-            return (guess, Vec::new());
-        };
-        let edges = tracks.iter().zip(agreeing).filter_map(|((position, tracks), agreeing)| {
-            if agreeing.len() >= MIN_AGREEING {
-                return Some((*position, MemoryEdge::from_matches(&agreeing)));
-            }
-            let drifted = &keyframes.get(*position)?.obj_from_cam;
-            let search = Search { gates: Gates::DRIFT, ..search };
-            let own = coarse_from_matches(tracks.clone(), drifted, &pose, &search)?;
-            let majority = 2 * own.matches.len() >= tracks.len().max(4 * search.min_inliers);
-            majority.then(|| (*position, MemoryEdge::from_matches(&own.matches)))
-        });
-        let edges = edges.collect();
-        (pose, edges)
+        let previous = self.reference.as_ref().zip(coarse).map(|(r, c)| (&r.pose, c.matches.as_slice()));
+        agreeing_edges(&tracks, previous, &guess, &search).unwrap_or((guess, Vec::new()))
     }
 
     /// Point tracks from each selected keyframe into the new frame, and the matches of a network where there is one.
@@ -70,7 +84,7 @@ impl Tracker {
         observation: &Observation,
         guess: &Isometry3<f64>,
         selected: &[usize],
-    ) -> Vec<(usize, Vec<Correspondence>)> {
+    ) -> Vec<ViewTracks<'_>> {
         let (pool, corners) = (&self.pool, self.config.coarse.max_corners_memory);
         let wide = self.descriptors.wide.as_ref().map(|wide| {
             let seen = selected.iter().filter_map(|position| pool.keyframes().get(*position));
@@ -86,7 +100,8 @@ impl Tracker {
             {
                 tracks.extend(wide.correspondences((&keyframe.observation, observation), in_b, &to_from));
             }
-            (!tracks.is_empty()).then_some((*position, tracks))
+            let pose = &keyframe.obj_from_cam;
+            (!tracks.is_empty()).then_some(ViewTracks { position: *position, pose, tracks })
         };
         selected.par_iter().filter_map(track).collect()
     }

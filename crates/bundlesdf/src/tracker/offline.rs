@@ -3,37 +3,43 @@
 use matcher::klt::KltOptions;
 use nalgebra::Isometry3;
 use neural_field::TrainedField;
-use se3_lie::distance::swing_angle;
 
 use super::{
-    coarse::{self, Descriptors, Gates, Search, agreement_with_memory, coarse_from_matches, within},
+    coarse::{self, Descriptors, Gates, Search, agreement_with_memory, within},
     correspond::guided_tracks,
     graph::{GraphProblem, GraphResult},
+    memory::{ViewEdges, ViewTracks, agreeing_edges},
 };
-use crate::{
-    config::Config,
-    observation::Observation,
-    pool::{MemoryEdge, MemoryPool},
-};
+use crate::{config::Config, observation::Observation, pool::MemoryPool};
 
 /// An observation at a pose (`obj_from_cam`).
 pub(crate) type Placed<'a> = (&'a Observation, &'a Isometry3<f64>);
 
-/// Verified matches of two observations whose poses are known roughly; `None` when they agree on too few.
-pub(crate) fn matched_pair(older: Placed<'_>, newer: Placed<'_>, config: &Config) -> Option<MemoryEdge> {
+/// The pose of an observation, guessed at `guess`, on which most matches with other posed observations agree, and the
+/// matches that follow it, by the position of the other; the guess and no matches when too few agree.
+pub(crate) fn matched<'a>(
+    others: impl IntoIterator<Item = (usize, Placed<'a>)>,
+    observation: &Observation,
+    guess: &Isometry3<f64>,
+    config: &Config,
+) -> (Isometry3<f64>, ViewEdges) {
     let c = &config.coarse;
-    let to_from = newer.1.inv_mul(older.1);
-    let tracks = guided_tracks(older.0, newer.0, &to_from, c.max_corners_memory, &KltOptions::default());
+    let tracks = |(position, (other, pose)): (usize, Placed<'a>)| {
+        let to_from = guess.inv_mul(pose);
+        let options = KltOptions::default();
+        let tracks = guided_tracks(other, observation, &to_from, c.max_corners_memory, &options);
+        ViewTracks { position, pose, tracks }
+    };
+    let views: Vec<_> = others.into_iter().map(tracks).collect();
     let search = Search {
         config: c,
         gates: Gates::CORRECTION,
         min_inliers: c.min_inliers,
-        focal: newer.0.intrinsics.fx,
-        swing: swing_angle(&older.1.rotation, &newer.1.rotation),
-        seed: config.seed ^ ((newer.0.index as u64) << 20) ^ older.0.index as u64,
+        focal: observation.intrinsics.fx,
+        swing: Search::MEMORY_SWING,
+        seed: config.seed ^ ((observation.index as u64) << 20),
     };
-    let verified = coarse_from_matches(tracks, older.1, newer.1, &search)?;
-    Some(MemoryEdge::from_matches(&verified.matches))
+    agreeing_edges(&views, None, guess, &search).unwrap_or((*guess, Vec::new()))
 }
 
 /// Pose of an observation against the keyframes of `pool`, which stay where they are, and the field, from a guess;
@@ -46,18 +52,15 @@ pub(crate) fn place(
     config: &Config,
 ) -> Isometry3<f64> {
     let selected = pool.select(guess, &config.memory);
-    let edges: Vec<_> = selected
-        .iter()
-        .filter_map(|position| {
-            let keyframe = pool.keyframes().get(*position)?;
-            let older = (&*keyframe.observation, &keyframe.obj_from_cam);
-            Some((*position, matched_pair(older, (observation, guess), config)?))
-        })
-        .collect();
+    let keyframes = selected.iter().filter_map(|position| {
+        let keyframe = pool.keyframes().get(*position)?;
+        Some((*position, (&*keyframe.observation, &keyframe.obj_from_cam)))
+    });
+    let (start, edges) = matched(keyframes, observation, guess, config);
     let problem = GraphProblem {
         observation,
-        guess: *guess,
-        prediction: None,
+        guess: start,
+        prediction: Some(*guess),
         pool,
         selected: &selected,
         edges: &edges,
