@@ -2,7 +2,7 @@
 
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
-use nalgebra::Isometry3;
+use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use neural_field::TrainedField;
 use rayon::prelude::*;
 
@@ -17,6 +17,12 @@ use crate::{
 
 /// Less depth agreement than this contradicts a pose.
 const CONVINCING: f64 = 0.5;
+
+/// Known frames over which a velocity is taken at the ends of a gap.
+const VELOCITY: usize = 4;
+/// A cubic curve whose slopes are at most so many times that of the straight line doesn't overshoot (Fritsch and Carlson,
+/// "Monotone Piecewise Cubic Interpolation", SIAM J. Numer. Anal. 1980).
+const STEEPEST: f64 = 3.0;
 
 /// All frames, with their keyframes as given. The field counts by the weight that its poses had against matches and
 /// depth.
@@ -94,7 +100,7 @@ fn measure(
 }
 
 /// Where each frame should be: its online pose, carried along with the corrections of the keyframes before and after
-/// it; a lost frame's between its neighbours.
+/// it; a lost frame's on the way between its neighbours.
 fn guesses(
     run: &Run<'_>,
     reports: &[FrameReport],
@@ -108,7 +114,7 @@ fn guesses(
             known.push((index, (correction(keyframes, index) * online).inverse()));
         }
     }
-    Ok((0..reports.len()).map(|index| between(&known, index).inverse()).collect())
+    Ok((0..reports.len()).map(|index| on_the_way(&known, index).inverse()).collect())
 }
 
 /// What takes a pose of the time of frame `index` to the refined keyframes.
@@ -131,9 +137,44 @@ fn between(known: &[(usize, Isometry3<f64>)], index: usize) -> Isometry3<f64> {
     }
 }
 
+/// As [`between`], but leaving and arriving with the motion's own velocities (a cubic Hermite curve of position and turn).
+fn on_the_way(known: &[(usize, Isometry3<f64>)], index: usize) -> Isometry3<f64> {
+    let after = known.partition_point(|(i, _)| *i < index);
+    let Some((before, &(end, to))) = after.checked_sub(1).zip(known.get(after)) else {
+        return between(known, index);
+    };
+    let (start, from) = known[before];
+    if end == index {
+        return to;
+    }
+    let steps = (end - start) as f64;
+    let whole = displacement(&from, &to);
+    let slope = |a: usize, b: usize| {
+        let (Some(&(i, a)), Some(&(j, b))) = (known.get(a), known.get(b)) else { return whole };
+        let scale = if i < j { steps / (j - i) as f64 } else { return whole };
+        displacement(&a, &b).map(|part| part * scale)
+    };
+    let leaving = slope(before.saturating_sub(VELOCITY), before);
+    let arriving = slope(after, (after + VELOCITY).min(known.len() - 1));
+    let s = (index - start) as f64 / steps;
+    let [turn, shift]: [Vector3<f64>; 2] = std::array::from_fn(|part| {
+        let whole = whole[part];
+        let [leaving, arriving] =
+            [leaving, arriving].map(|slope| slope[part].cap_magnitude(STEEPEST * whole.norm()));
+        whole * (s * s * (3.0 - 2.0 * s)) + leaving * (s * (1.0 - s).powi(2)) - arriving * (s * s * (1.0 - s))
+    });
+    let rotation = UnitQuaternion::new(turn) * from.rotation;
+    Isometry3::from_parts(Translation3::from(from.translation.vector + shift), rotation)
+}
+
+/// Turn (radians) and shift (metres) from one pose to another.
+fn displacement(from: &Isometry3<f64>, to: &Isometry3<f64>) -> [Vector3<f64>; 2] {
+    let turn = (to.rotation * from.rotation.inverse()).scaled_axis();
+    [turn, to.translation.vector - from.translation.vector]
+}
+
 #[cfg(test)]
 mod tests {
-    use nalgebra::Vector3;
 
     use super::*;
 
@@ -146,5 +187,34 @@ mod tests {
         assert!((between(&known, 6).to_homogeneous() - known[1].1.to_homogeneous()).norm() < 1e-12);
         assert!((between(&known, 3).to_homogeneous() - at(0.1, 0.2).to_homogeneous()).norm() < 1e-9);
         assert_eq!(between(&[], 3), Isometry3::identity());
+    }
+
+    #[test]
+    fn a_smooth_motion_is_followed_through_a_gap() {
+        let truth = |index: usize| {
+            let t = 0.03 * index as f64;
+            let place = Vector3::new(0.1 * t.sin(), 0.05 * (0.7 * t).cos(), 0.5 + 0.02 * t);
+            Isometry3::new(place, Vector3::new(0.3 * t.sin(), 0.8 * t, 0.0))
+        };
+        let known: Vec<_> = (0..90).filter(|i| !(30..60).contains(i)).map(|i| (i, truth(i))).collect();
+        let worst = |guess: &dyn Fn(usize) -> Isometry3<f64>| {
+            let off = |i: usize| displacement(&guess(i), &truth(i)).map(|part| part.norm());
+            (0..90).map(off).fold([0.0f64; 2], |w, e| [w[0].max(e[0]), w[1].max(e[1])])
+        };
+        let curve = worst(&|i| on_the_way(&known, i));
+        let line = worst(&|i| between(&known, i));
+        assert!(curve[0] < 0.25 * line[0] && curve[1] < 0.25 * line[1], "{curve:?} {line:?}");
+
+        // Back where it went out of sight: a stay there, not a way around.
+        let back: Vec<_> =
+            known.iter().map(|(i, pose)| (*i, if *i < 30 { *pose } else { truth(29) })).collect();
+        assert!(
+            (30..60).all(|i| displacement(&on_the_way(&back, i), &truth(29)).iter().all(|d| d.norm() < 1e-9))
+        );
+        // Nothing on one side, a single frame on the other.
+        assert_eq!(on_the_way(&known[..1], 7), known[0].1);
+        assert_eq!(on_the_way(&[], 3), Isometry3::identity());
+        let two = [(2, truth(2)), (6, truth(6))];
+        assert!(displacement(&on_the_way(&two, 4), &between(&two, 4)).iter().all(|d| d.norm() < 1e-3));
     }
 }
