@@ -112,7 +112,10 @@ const MARGIN: f64 = 1.0 / 1024.0;
 pub(crate) fn crossing(a: f32, b: f32, iso: f32) -> f64 {
     let (a, b, iso) = (f64::from(a), f64::from(b), f64::from(iso));
     let t = (iso - a) / (b - a);
-    if (b - a).is_finite() && t.is_finite() { t.clamp(MARGIN, 1.0 - MARGIN) } else { 0.5 }
+    let t = if (b - a).is_finite() && t.is_finite() { t.clamp(MARGIN, 1.0 - MARGIN) } else { 0.5 };
+    // With few enough digits to be added to a lattice number without rounding: a vertex is then at the same place however
+    // its lattice is numbered.
+    f64::from(t as f32)
 }
 
 /// Signs of one layer of lattice points, 64 to a word, rows padded to whole words.

@@ -317,3 +317,15 @@ proptest! {
         prop_assert_eq!(keys, wanted);
     }
 }
+
+/// Found by the property test above: one vertex of 7000 was rounded differently where its lattice number was larger.
+#[test]
+fn vertices_are_at_the_same_place_however_the_lattice_is_numbered() {
+    let (dims, first) = ([69, 16, 13], [0, 0, -9]);
+    let mut random = noise(4_281_859_274_234_417_704);
+    let mut values = closed_field(dims, || (random() * 2.0).round());
+    smooth(dims, &mut values);
+    values = closed_field(dims, || 0.0).iter().zip(&values).map(|(border, v)| border + v).collect();
+    let dense = extract_dense(dims, &values, first.map(|c| c as f32 * 0.125), 0.125, 0.0);
+    assert_eq!(soup(&dense), soup(&as_sparse(dims, &values, first, 0.125)));
+}
