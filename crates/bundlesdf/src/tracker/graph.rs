@@ -13,8 +13,8 @@ use crate::{
     pool::{MemoryEdge, MemoryPool},
 };
 
-/// Pixels that all dense edges of a frame compare, about: with ten keyframes every pose is tied by thousands of them,
-/// and the time of a frame is not one of its object's.
+/// Pixels that all dense edges of a frame compare, about: with ten keyframes thousands of them tie every pose, and more
+/// cost time without telling more.
 const MAX_DENSE: usize = 16_000;
 
 /// The new frame and what it is compared with.
