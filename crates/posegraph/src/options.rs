@@ -2,6 +2,9 @@
 
 use crate::error::Error;
 
+/// Source pixels of a dense edge at least, however many edges share them.
+const MIN_DENSE_PER_EDGE: usize = 200;
+
 /// Options of [`solve`](crate::solve).
 ///
 /// Every residual is divided by the standard deviation given here, so that the objective is half a sum of squared,
@@ -41,11 +44,9 @@ pub struct SolveOptions {
     pub sdf_cap: f64,
     /// Source pixels of one dense edge at most, spread evenly over the valid ones.
     pub max_dense_per_edge: usize,
-    /// Source pixels of all dense edges together, about: beyond that every edge gets its share, but at least
-    /// `min_dense_per_edge`, and each pixel stands for several. The many edges of a node tell the same.
+    /// Source pixels of all dense edges together, about: beyond that every edge gets its share, but at least 200, and
+    /// each pixel stands for several. The many edges of a node tell the same.
     pub max_dense: usize,
-    /// Share of an edge at least.
-    pub min_dense_per_edge: usize,
     /// Pixels less than this away from the projection, in both directions, are compared at the first iteration; at
     /// least 1.
     pub association_radius_initial: usize,
@@ -97,7 +98,6 @@ impl Default for SolveOptions {
             sdf_cap: 1000.0,
             max_dense_per_edge: 800,
             max_dense: usize::MAX,
-            min_dense_per_edge: 200,
             association_radius_initial: 3,
             association_radius: 1,
             max_distance_initial: 0.02,
@@ -147,7 +147,7 @@ impl SolveOptions {
 
     /// Source pixels of each of so many dense edges at most.
     pub(crate) fn dense_share(&self, edges: usize) -> usize {
-        let share = (self.max_dense / edges.max(1)).max(self.min_dense_per_edge);
+        let share = (self.max_dense / edges.max(1)).max(MIN_DENSE_PER_EDGE);
         share.min(self.max_dense_per_edge)
     }
 

@@ -20,8 +20,8 @@ const CONVINCING: f64 = 0.5;
 
 /// Known frames over which a velocity is taken at the ends of a gap.
 const VELOCITY: usize = 4;
-/// A cubic curve whose slopes are at most so many times that of the straight line doesn't overshoot (Fritsch and Carlson,
-/// "Monotone Piecewise Cubic Interpolation", SIAM J. Numer. Anal. 1980).
+/// A cubic curve whose slopes are at most so many times that of the straight line doesn't overshoot along that line
+/// (Fritsch and Carlson, "Monotone Piecewise Cubic Interpolation", SIAM J. Numer. Anal. 1980).
 const STEEPEST: f64 = 3.0;
 
 /// All frames, with their keyframes as given. The field counts by the weight that its poses had against matches and
@@ -175,7 +175,6 @@ fn displacement(from: &Isometry3<f64>, to: &Isometry3<f64>) -> [Vector3<f64>; 2]
 
 #[cfg(test)]
 mod tests {
-
     use super::*;
 
     #[test]
