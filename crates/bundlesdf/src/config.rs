@@ -187,8 +187,14 @@ pub struct GraphConfig {
     pub dense_weight: f64,
     /// Weight of the SDF term, w_s.
     pub sdf_weight: f64,
-    /// Huber threshold of all terms (metres).
+    /// Huber threshold of the dense and the SDF term (metres).
     pub huber: f64,
+    /// Standard deviation of a matched point across its ray (radians): that of its pixel over the focal length.
+    pub match_angle: f64,
+    /// Standard deviation of depth at distance z is this (metres)
+    pub depth_sigma: f64,
+    /// and this times the square of z (1/metres).
+    pub depth_sigma_quadratic: f64,
     /// Points of the new frame that are compared with the field.
     pub sdf_points: usize,
     /// Target pixels of the downscaled cloud for the dense term.
@@ -206,9 +212,11 @@ impl GraphConfig {
             feature_weight: self.feature_weight,
             dense_weight: self.dense_weight,
             sdf_weight: if has_field { self.sdf_weight } else { 0.0 },
-            feature_huber: self.huber,
             dense_huber: self.huber,
             sdf_huber: self.huber,
+            feature_angle: self.match_angle,
+            depth_sigma_constant: self.depth_sigma,
+            depth_sigma_quadratic: self.depth_sigma_quadratic,
             // Nobody reads it, and it costs a linearisation.
             covariance: false,
             ..SolveOptions::default()
@@ -224,6 +232,9 @@ impl Default for GraphConfig {
             dense_weight: 1.0,
             sdf_weight: 1.0,
             huber: 0.005,
+            match_angle: 0.000_5,
+            depth_sigma: 0.001,
+            depth_sigma_quadratic: 0.002,
             sdf_points: 600,
             dense_pixels: 5000,
         }
@@ -249,6 +260,8 @@ pub struct FieldSettings {
     pub steps: usize,
     /// Training steps of the last round, from which the mesh is taken.
     pub final_steps: usize,
+    /// Training steps of each of the two rounds of a refinement: one that moves keyframes, one on where they end up.
+    pub refine_steps: usize,
     /// Furthest that a round may move a keyframe along an axis (metres).
     pub max_translation: f64,
     /// Furthest that a round may turn a keyframe about an axis (degrees).
@@ -265,6 +278,7 @@ impl Default for FieldSettings {
             device: FieldDevice::Auto,
             steps: 200,
             final_steps: 800,
+            refine_steps: 1500,
             max_translation: 0.02,
             max_rotation_deg: 20.0,
         }
@@ -420,11 +434,15 @@ impl Config {
         }
         within("graph.sdf_points", g.sdf_points, 0..=1_000_000)?;
         positive("graph.huber", g.huber)?;
+        between("graph.match_angle", g.match_angle, 1e-6..=0.1)?;
+        between("graph.depth_sigma", g.depth_sigma, 1e-6..=1.0)?;
+        between("graph.depth_sigma_quadratic", g.depth_sigma_quadratic, 0.0..=1.0)?;
         within("graph.dense_pixels", g.dense_pixels, 100..=1_000_000)?;
         within("field.first_round_keyframes", f.first_round_keyframes, 1..=1000)?;
         within("field.keyframes_per_round", f.keyframes_per_round, 1..=1000)?;
         within("field.steps", f.steps, 1..=100_000)?;
         within("field.final_steps", f.final_steps, 1..=100_000)?;
+        within("field.refine_steps", f.refine_steps, 1..=100_000)?;
         positive("field.max_translation", f.max_translation)?;
         positive("field.max_rotation_deg", f.max_rotation_deg)?;
         positive("mesh.spacing", f64::from(self.mesh.spacing))
@@ -459,6 +477,9 @@ mod tests {
             ("graph", "dense_weight"),
             ("graph", "sdf_weight"),
             ("graph", "huber"),
+            ("graph", "match_angle"),
+            ("graph", "depth_sigma"),
+            ("graph", "depth_sigma_quadratic"),
         ] {
             for value in ["nan", "-1.0", "inf"] {
                 let text = format!("[{section}]\n{key} = {value}\n");

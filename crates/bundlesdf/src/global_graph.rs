@@ -1,6 +1,9 @@
 //! One pose graph over all keyframes: what a field round ends with, and the whole round of the paper's GPG ablation.
 
-use std::sync::Arc;
+use std::sync::{
+    Arc,
+    atomic::{AtomicBool, Ordering},
+};
 
 use nalgebra::{Isometry3, SymmetricEigen};
 use neural_field::TrainedField;
@@ -33,21 +36,23 @@ pub(crate) fn optimise(
 
 /// As [`optimise`], but what no measurement tells of a pose stays as in `held`, and how much the field's poses count is
 /// found from how well they agree with everything else. Also answers that weight: 1 is what [`optimise`] gives them, and
-/// none has more.
+/// none has more. Ends with what it has when `stop` is set.
 ///
 /// The prior takes the field's errors for noise of its points. They are not: the surface is smoother or rougher than the
-/// true one, and all points of a view are off together. Of two kinds of observations each has a variance in the units
-/// that it claims, its residuals squared over its redundancy, and it counts by the inverse (Helmert's estimate of
-/// variance components).
+/// true one, and all points of a view are off together. So its variance is measured in the units that it claims, its
+/// residuals squared over its redundancy, and it counts by the inverse (Helmert's estimate of variance components).
+/// Matches and depth count as the config says: their residuals don't show what all have wrong together, a depth that is
+/// off by the same everywhere.
 pub(crate) fn optimise_weighed(
     request: &FieldRequest,
     poses: &[Isometry3<f64>],
     held: &[Isometry3<f64>],
     field: Option<&TrainedField>,
+    stop: &AtomicBool,
 ) -> Option<(Vec<Isometry3<f64>>, f64)> {
     let options = SolveOptions { covariance: true, ..request.graph.solve_options(field.is_some()) };
     let claimed = field.map_or_else(Vec::new, |field| field_priors(request, field, &options));
-    weigh(request, (poses, held), &claimed, &options)
+    weigh(request, (poses, held), &claimed, &options, stop)
 }
 
 /// The poses and the weight of the priors, from what these claim.
@@ -56,19 +61,28 @@ fn weigh(
     (poses, held): (&[Isometry3<f64>], &[Isometry3<f64>]),
     claimed: &[PosePrior],
     options: &SolveOptions,
+    stop: &AtomicBool,
 ) -> Option<(Vec<Isometry3<f64>>, f64)> {
     let mut weight = 1.0;
     let mut found = None;
     for _ in 0..WEIGHINGS {
+        if stop.load(Ordering::Relaxed) {
+            break;
+        }
         let scaled = |p: &PosePrior| PosePrior { information: p.information * weight, ..*p };
         let priors: Vec<_> = claimed.iter().map(scaled).collect();
         let solution = solve(&graph(request, (poses, held), &priors)?, options).ok()?;
-        let of_priors = prior_variance(&priors, &solution);
-        let of_rest = measured_variance(request, &solution, options);
-        tracing::debug!(weight, of_priors, of_rest, "field weighed against matches and depth");
+        let variance = prior_variance(&priors, &solution);
+        tracing::debug!(
+            weight,
+            variance,
+            matches = solution.feature_rms,
+            depth = solution.dense_rms,
+            "field weighed"
+        );
         found = Some((solution.poses, weight));
-        let Some((of_priors, of_rest)) = of_priors.zip(of_rest) else { break };
-        let next = (weight * of_rest / of_priors).min(1.0);
+        let Some(variance) = variance else { break };
+        let next = (weight / variance).min(1.0);
         if (next - weight).abs() <= WEIGHED * weight {
             break;
         }
@@ -91,22 +105,6 @@ fn prior_variance(priors: &[PosePrior], solution: &Solution) -> Option<f64> {
     }
     let variance = squares / redundancy;
     (redundancy > 0.0 && variance.is_finite() && variance > 0.0).then_some(variance)
-}
-
-/// Variance of matches and depth over what the graph claims, pooled by how many of each count; `None` without any.
-fn measured_variance(request: &FieldRequest, solution: &Solution, options: &SolveOptions) -> Option<f64> {
-    let count = |inliers: &[usize], cap: f64| inliers.iter().map(|n| (*n as f64).min(cap)).sum::<f64>();
-    let matches = count(&solution.feature_inliers, options.feature_cap);
-    let pixels = count(&solution.dense_inliers, options.dense_cap);
-    let mut depths: Vec<f64> = request.frames.iter().map(|(_, seen, _)| seen.centre().z).collect();
-    depths.sort_by(f64::total_cmp);
-    let depth = *depths.get(depths.len() / 2)?;
-    let dense_sigma = options.depth_sigma_constant + options.depth_sigma_quadratic * depth * depth;
-    // A match has three residuals, a pixel the one along the normal.
-    let of_matches = (solution.feature_rms / options.feature_sigma).powi(2) / 3.0;
-    let of_pixels = (solution.dense_rms / dense_sigma).powi(2);
-    let variance = (matches * of_matches + pixels * of_pixels) / (matches + pixels);
-    (variance.is_finite() && variance > 0.0).then_some(variance)
 }
 
 /// Where the training left each free keyframe, as far as the field's surface determines it.
@@ -204,6 +202,7 @@ mod tests {
         let request = keyframes();
         let truth: Vec<_> = request.frames.iter().map(|(_, _, pose)| *pose).collect();
         let options = SolveOptions { covariance: true, ..request.graph.solve_options(true) };
+        let go_on = AtomicBool::new(false);
         // A tenth of a millimetre and of a degree are claimed.
         let mut information = Matrix6::identity() * 1e8;
         information.fixed_view_mut::<3, 3>(3, 3).copy_from(&(nalgebra::Matrix3::identity() * 3e5));
@@ -212,19 +211,19 @@ mod tests {
             let prior = |(node, pose)| PosePrior { node, obj_from_cam: off(node) * pose, information };
             truth.iter().enumerate().map(prior).collect()
         };
-        let alone = weigh(&request, (&truth, &truth), &[], &options).unwrap().0;
+        let alone = weigh(&request, (&truth, &truth), &[], &options, &go_on).unwrap().0;
         let alone = furthest(&alone, &truth);
 
         // Each view is turned a little further than the one before, as by a surface that is bent.
         let bent = claim(0.3);
         let taken = solve(&graph(&request, (&truth, &truth), &bent).unwrap(), &options).unwrap().poses;
-        let (poses, weight) = weigh(&request, (&truth, &truth), &bent, &options).unwrap();
+        let (poses, weight) = weigh(&request, (&truth, &truth), &bent, &options, &go_on).unwrap();
         let (believed, weighed) = (furthest(&taken, &truth), furthest(&poses, &truth));
         assert!(believed > 3.0 * weighed, "{believed} {weighed}");
         assert!(weighed < 1.2 * alone + 0.05 && weight < 0.05, "{weighed} {alone} {weight}");
 
         // True ones are not outvoted.
-        let (poses, weight) = weigh(&request, (&truth, &truth), &claim(0.0), &options).unwrap();
+        let (poses, weight) = weigh(&request, (&truth, &truth), &claim(0.0), &options, &go_on).unwrap();
         let weighed = furthest(&poses, &truth);
         assert!(weighed < 0.5 * alone && weight > 0.5, "{weighed} {alone} {weight}");
     }

@@ -37,12 +37,12 @@ fn main() -> Result<(), Error> {
     }
     let solution = solve(&graph, &SolveOptions::default())?;
     println!(
-        "cost {:.1} -> {:.1} in {} iterations, converged: {}, rms {:.2} mm",
+        "cost {:.1} -> {:.1} in {} iterations, converged: {}, rms {:.2} deviations",
         solution.cost_initial,
         solution.cost_final,
         solution.iterations,
         solution.converged,
-        1e3 * solution.feature_rms
+        solution.feature_rms
     );
     for (k, (pose, truth)) in solution.poses.iter().zip(&truth).enumerate() {
         let error = pose * truth.inverse();

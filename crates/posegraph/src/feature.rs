@@ -1,16 +1,16 @@
-//! Feature term: distances of matched points (eq. `L_f`).
+//! Feature term: differences of matched points (eq. `L_f`), each by how well the cameras know it.
 
 use nalgebra::{Isometry3, Translation3, Vector3};
 
 use crate::graph::FeatureEdge;
 use crate::jacobian::lift;
 use crate::lanes::LANES;
-use crate::moments::Block;
 use crate::normal::PairBlocks;
 use crate::options::SolveOptions;
+use crate::rays::{Block, Pair, RayNoise};
 use crate::simd;
 use crate::stats::Tally;
-use crate::transform::{Rigid, is_finite, widen};
+use crate::transform::{Rigid, is_finite, narrow, widen};
 
 /// The usable matches of one feature edge.
 #[derive(Debug)]
@@ -23,16 +23,11 @@ pub(crate) struct FeatureTerm {
     count: usize,
     centre_i: [f32; 3],
     centre_j: [f32; 3],
-    /// Factor on every match: term weight, 1 / variance, count cap.
+    /// Factor on every match: term weight, count cap.
     scale: f64,
-    delta: f64,
-}
-
-/// Where the points of an edge are: rotations and small offsets from a common centre in the object frame.
-struct Placed {
-    centre: Vector3<f64>,
-    a: Rigid<f32>,
-    b: Rigid<f32>,
+    noise: RayNoise,
+    /// Huber threshold and saturation, standard deviations.
+    pub(crate) robust: [f32; 2],
 }
 
 impl FeatureTerm {
@@ -57,40 +52,46 @@ impl FeatureTerm {
             total += f64::from(w);
             count += 1;
         }
-        let scale = options.feature_weight / (options.feature_sigma * options.feature_sigma)
-            * if total > options.feature_cap { options.feature_cap / total } else { 1.0 };
-        let (i, j, delta) = (edge.i, edge.j, options.feature_huber);
-        Self { edge: index, i, j, blocks, count, centre_i, centre_j, scale, delta }
+        let share = if total > options.feature_cap { options.feature_cap / total } else { 1.0 };
+        let (i, j, scale) = (edge.i, edge.j, options.feature_weight * share);
+        let (noise, robust) = (RayNoise::new(options), options.gates(usize::MAX).feature);
+        Self { edge: index, i, j, blocks, count, centre_i, centre_j, scale, noise, robust }
     }
 
-    fn place(&self, poses: &[Isometry3<f64>]) -> Placed {
+    /// The sides of the edge about a point near the matches, and where that is.
+    fn place(&self, poses: &[Isometry3<f64>]) -> (Pair, Vector3<f64>) {
         let centre = |node: usize, c: [f32; 3]| (poses[node] * nalgebra::Point3::from(widen(c))).coords;
         let (a, b) = (centre(self.i, self.centre_i), centre(self.j, self.centre_j));
-        let relative = |node: usize, offset: Vector3<f64>| {
+        let motion = |node: usize, offset: Vector3<f64>| {
             Rigid::<f32>::new(&Isometry3::from_parts(Translation3::from(offset), poses[node].rotation))
         };
-        Placed { centre: a, a: relative(self.i, Vector3::zeros()), b: relative(self.j, b - a) }
+        let camera = |node: usize| narrow((poses[node].translation.vector - a).into());
+        let pair = Pair {
+            motions: [motion(self.i, Vector3::zeros()), motion(self.j, b - a)],
+            cameras: [camera(self.i), camera(self.j)],
+            noise: self.noise,
+            robust: self.robust,
+        };
+        (pair, a)
     }
 
     pub(crate) fn cost(&self, poses: &[Isometry3<f64>]) -> f64 {
-        let placed = self.place(poses);
-        self.scale * simd::feature_cost(&self.blocks, (&placed.a, &placed.b), self.delta as f32)
+        self.scale * simd::feature_cost(&self.blocks, &self.place(poses).0)
     }
 
     pub(crate) fn linearise(&self, poses: &[Isometry3<f64>]) -> PairBlocks {
-        let placed = self.place(poses);
-        let (sums, cost) = simd::feature_sums(&self.blocks, (&placed.a, &placed.b), self.delta as f32);
+        let (pair, centre) = self.place(poses);
+        let (sums, cost) = simd::feature_sums(&self.blocks, &pair);
         let (h, g) = sums.finish();
         // The sums are about the centre: lift them to the object's origin.
-        let lift = lift(&Translation3::from(placed.centre).into());
+        let lift = lift(&Translation3::from(centre).into());
         let h = lift * (h * self.scale) * lift.transpose();
         let (nodes, g, cost) = ((self.i, self.j), lift * (g * self.scale), self.scale * cost);
         PairBlocks { nodes, h, g, cost, noise: 0.0 }
     }
 
     pub(crate) fn tally(&self, poses: &[Isometry3<f64>]) -> Tally {
-        let placed = self.place(poses);
-        simd::feature_tally(&self.blocks, (&placed.a, &placed.b), self.delta as f32)
+        simd::feature_tally(&self.blocks, &self.place(poses).0)
     }
 
     /// The points of `node` in its camera's frame; none if it takes no part.

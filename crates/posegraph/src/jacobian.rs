@@ -4,11 +4,13 @@
 //! With `T <- exp(delta) T` and `delta = [rho; phi]`, an object-frame point `X = T p` moves by `rho + phi x X`, so
 //! `dX/ddelta = [I | -[X]x]`. Three consequences carry the solver:
 //! - a feature residual `X_i - X_j` has Jacobians `[I | -[X_i]x]` and `-[I | -[X_j]x]`, up to the residual's order
-//!   both at the midpoint ([`PairSums`]);
+//!   both at the point that the two measurements have in common ([`MatchSums`]);
 //! - a scalar residual that changes with `X` along `d` (plane normal, SDF gradient) has the row `[d; X x d]`;
 //! - rows built in a camera frame become object-frame rows by one adjoint per edge ([`lift`]).
 
-use nalgebra::{Isometry3, Matrix3, Matrix6, Vector3, Vector6};
+#[cfg(test)]
+use nalgebra::Vector3;
+use nalgebra::{Isometry3, Matrix3, Matrix6, Vector6};
 
 /// `[I | -[X]x]`, the derivative of the object-frame point `x` with respect to its node's twist.
 #[cfg(test)]
@@ -87,56 +89,75 @@ impl RowSums {
     }
 }
 
-/// Weighted moments of matched object-frame points: all that the blocks of a feature edge depend on.
+/// Blocks of a feature edge: sums over its matches of `[I | -[p]x]^T W [I | -[p]x]` and of `[I | -[p]x]^T W r`.
 ///
-/// Both nodes get the Jacobian at the midpoint `m = (x + y) / 2`. The gradient is the exact one, because
-/// `x x (x - y) = m x (x - y)`, and the Hessian differs from Gauss-Newton's by the residual's order, in its favour: a
-/// motion of both nodes together costs nothing, as in the objective itself.
-#[derive(Debug, Clone, Copy, Default)]
-pub(crate) struct PairSums {
-    pub(crate) w: f64,
-    pub(crate) m: [f64; 3],
-    /// Lower triangle.
-    pub(crate) mm: [f64; 6],
-    pub(crate) r: [f64; 3],
-    pub(crate) m_cross_r: [f64; 3],
+/// `p` is where the point of the match most likely is (see [`rays`](crate::rays)). With it the gradient is the exact one:
+/// moving node i moves `x`, but turns its covariance `S_i`, too, and the two together are `p x W r`. The Hessian is
+/// Gauss-Newton's up to the residual's order, in its favour: a motion of both nodes together costs nothing, as in the
+/// objective itself.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub(crate) struct MatchSums {
+    /// `W`, lower triangle.
+    pub(crate) w: [f64; 6],
+    /// `-W [p]x`, row by row.
+    pub(crate) wp: [f64; 9],
+    /// `-[p]x W [p]x`, lower triangle.
+    pub(crate) pwp: [f64; 6],
+    pub(crate) g: [f64; 6],
 }
 
-impl PairSums {
-    /// Adds the match of `x` (node i) and `y` (node j), with weight `w`. The reference for the single-precision sums of
-    /// the feature term.
-    #[cfg(test)]
-    pub(crate) fn add(&mut self, x: [f64; 3], y: [f64; 3], w: f64) {
-        let m: [f64; 3] = std::array::from_fn(|k| 0.5 * (x[k] + y[k]));
-        let r: [f64; 3] = std::array::from_fn(|k| w * (x[k] - y[k]));
-        self.w += w;
-        let turn = Vector3::from(m).cross(&Vector3::from(r));
-        let mut k = 0;
-        for a in 0..3 {
-            self.m[a] += w * m[a];
-            self.r[a] += r[a];
-            self.m_cross_r[a] += turn[a];
-            for b in 0..=a {
-                self.mm[k] += w * m[a] * m[b];
-                k += 1;
-            }
-        }
+impl MatchSums {
+    /// `H` and the gradient `g` of node i; the blocks are `H_ii = H_jj = -H_ij = H`, and the gradient of node j is `-g`.
+    pub(crate) fn finish(&self) -> (Matrix6<f64>, Vector6<f64>) {
+        let symmetric = |t: &[f64; 6]| Matrix3::new(t[0], t[1], t[3], t[1], t[2], t[4], t[3], t[4], t[5]);
+        let wp = Matrix3::from_row_slice(&self.wp);
+        let mut h = Matrix6::zeros();
+        h.fixed_view_mut::<3, 3>(0, 0).copy_from(&symmetric(&self.w));
+        h.fixed_view_mut::<3, 3>(0, 3).copy_from(&wp);
+        h.fixed_view_mut::<3, 3>(3, 0).copy_from(&wp.transpose());
+        h.fixed_view_mut::<3, 3>(3, 3).copy_from(&symmetric(&self.pwp));
+        (h, Vector6::from(self.g))
+    }
+}
+
+/// A match in double precision, written out from its definition: the reference for the sums of the feature term.
+#[cfg(test)]
+pub(crate) struct ExactMatch {
+    pub(crate) r: Vector3<f64>,
+    pub(crate) information: Matrix3<f64>,
+    /// Where the point most likely is.
+    pub(crate) point: Vector3<f64>,
+}
+
+#[cfg(test)]
+impl ExactMatch {
+    /// The points `p` and `q` of the cameras at `ti` and `tj`; `noise` is the angle and the two parts of the depth's.
+    pub(crate) fn new(
+        (ti, tj): (&Isometry3<f64>, &Isometry3<f64>),
+        (p, q): (Vector3<f64>, Vector3<f64>),
+        [angle, constant, quadratic]: [f64; 3],
+    ) -> Self {
+        let covariance = |t: &Isometry3<f64>, p: Vector3<f64>| {
+            let ray = t.rotation * p.normalize();
+            let across = (angle * p.norm()).powi(2);
+            let along = (constant + quadratic * p.norm_squared()).powi(2);
+            Matrix3::identity() * across + ray * ray.transpose() * (along - across)
+        };
+        let x = (ti * nalgebra::Point3::from(p)).coords;
+        let r = x - (tj * nalgebra::Point3::from(q)).coords;
+        let first = covariance(ti, p);
+        let information = (first + covariance(tj, q)).try_inverse().unwrap_or_default();
+        Self { r, information, point: x - first * information * r }
     }
 
-    /// `H` and the gradient `g` of node i; the blocks are `H_ii = H_jj = -H_ij = H`, and the gradient of node j is `-g`.
-    ///
-    /// `H = sum w [I | -[m]x]^T [I | -[m]x]`, with `-[m]x [m]x = (m . m) I - m m^T`.
-    pub(crate) fn finish(&self) -> (Matrix6<f64>, Vector6<f64>) {
-        let m = Vector3::from(self.m).cross_matrix();
-        let mm = &self.mm;
-        let mm = Matrix3::new(mm[0], mm[1], mm[3], mm[1], mm[2], mm[4], mm[3], mm[4], mm[5]);
-        let mut h = Matrix6::zeros();
-        h.fixed_view_mut::<3, 3>(0, 0).copy_from(&(Matrix3::identity() * self.w));
-        h.fixed_view_mut::<3, 3>(0, 3).copy_from(&-m);
-        h.fixed_view_mut::<3, 3>(3, 0).copy_from(&m);
-        h.fixed_view_mut::<3, 3>(3, 3).copy_from(&(Matrix3::identity() * mm.trace() - mm));
-        let (r, turn) = (&self.r, &self.m_cross_r);
-        (h, Vector6::new(r[0], r[1], r[2], turn[0], turn[1], turn[2]))
+    pub(crate) fn deviations(&self) -> f64 {
+        self.r.dot(&(self.information * self.r)).sqrt()
+    }
+
+    /// Blocks `H` and `g` at a weight.
+    pub(crate) fn blocks(&self, weight: f64) -> (Matrix6<f64>, Vector6<f64>) {
+        let j = point_jacobian(&self.point);
+        (j.transpose() * self.information * j * weight, j.transpose() * self.information * self.r * weight)
     }
 }
 
@@ -272,22 +293,21 @@ mod tests {
     }
 
     #[test]
-    fn pair_sums_equal_products_at_midpoints_and_the_exact_gradient() {
+    fn the_gradient_of_a_match_includes_the_turn_of_its_covariances() {
         let mut rng = Pcg64Mcg::seed_from_u64(5);
-        let mut sums = PairSums::default();
-        let (mut h, mut gi, mut gj) = (Matrix6::zeros(), Vector6::zeros(), Vector6::zeros());
-        for _ in 0..50 {
-            let (x, y, w) = (vector(&mut rng, 1.0), vector(&mut rng, 1.0), rng.random_range(0.1..2.0));
-            sums.add(x.into(), y.into(), w);
-            let at_middle = point_jacobian(&((x + y) * 0.5));
-            h += at_middle.transpose() * at_middle * w;
-            gi += point_jacobian(&x).transpose() * (x - y) * w;
-            gj -= point_jacobian(&y).transpose() * (x - y) * w;
+        let noise = [0.01, 0.03, 0.05];
+        for _ in 0..20 {
+            let (ti, tj) = (pose(&mut rng), pose(&mut rng));
+            let (p, q) = (vector(&mut rng, 1.0), vector(&mut rng, 1.0));
+            let cost = |ti: &Isometry3<f64>, tj: &Isometry3<f64>| {
+                let e = ExactMatch::new((ti, tj), (p, q), noise).deviations();
+                DVector::from_element(1, 0.5 * e * e)
+            };
+            let (_, g) = ExactMatch::new((&ti, &tj), (p, q), noise).blocks(1.0);
+            let row = |g: Vector6<f64>| DMatrix::from_fn(1, 6, |_, c| g[c]);
+            assert_close(&row(g), &numeric(&ti, |t| cost(t, &tj)));
+            assert_close(&row(-g), &numeric(&tj, |t| cost(&ti, t)));
         }
-        let (got_h, got_g) = sums.finish();
-        assert!((got_h - h).amax() < 1e-10, "{got_h}{h}");
-        assert!((got_g - gi).amax() < 1e-10);
-        assert!((got_g + gj).amax() < 1e-10);
     }
 
     #[test]

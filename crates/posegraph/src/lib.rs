@@ -44,7 +44,9 @@
 //! of the normals, known from how much matched normals differ, gives to a surface that slides along itself.
 //!
 //! # Precision
-//! Residuals are divided by their standard deviation, and an edge's weights are capped in sum (see [`SolveOptions`]),
+//! A matched point is known well across its ray and badly along it ([`SolveOptions::feature_angle`] against the depth
+//! noise), so that views from different sides complement each other. Residuals are divided by their standard deviation,
+//! and an edge's weights are capped in sum (see [`SolveOptions`]),
 //! so that the inverse Hessian is usable as a covariance. Results are deterministic.
 //!
 //! # Features
@@ -62,13 +64,13 @@ mod graph;
 mod jacobian;
 mod lanes;
 mod matches;
-mod moments;
 mod normal;
 mod observability;
 mod options;
 mod parallel;
 mod prior;
 mod problem;
+mod rays;
 mod sdf;
 mod search;
 mod simd;

@@ -22,17 +22,23 @@ pub struct SolveOptions {
     pub dense_weight: f64,
     /// Factor on all SDF terms (`w_s`); 0 switches them off.
     pub sdf_weight: f64,
-    /// Huber threshold on the distance of matched points, metres.
+    /// Huber threshold on the difference of matched points, standard deviations.
     pub feature_huber: f64,
+    /// Where Huber's loss of a matched pair begins to level off, standard deviations: a wrong match must not gain by turning
+    /// cameras until the difference lies along their rays.
+    pub feature_saturation: f64,
+    /// How many times as wide both are at the first iteration; 1 from `tighten_iterations` on.
+    pub feature_widening: f64,
     /// Huber threshold on the point-to-plane distance, metres.
     pub dense_huber: f64,
     /// Huber threshold on the signed distance, metres.
     pub sdf_huber: f64,
-    /// Standard deviation of one coordinate of a feature residual, metres.
-    pub feature_sigma: f64,
+    /// Standard deviation of a matched point across its ray, radians: that of its pixel over the focal length. Along the ray
+    /// it has the depth noise.
+    pub feature_angle: f64,
     /// Constant part `a` of the depth noise `sigma(z) = a + b z^2` of one frame, metres.
     pub depth_sigma_constant: f64,
-    /// Quadratic part `b` of the depth noise, 1/metres. A dense residual has the variance of its two depths.
+    /// Quadratic part `b` of the depth noise, 1/metres. A residual has the variance of its two depths.
     pub depth_sigma_quadratic: f64,
     /// Standard deviation of an SDF residual, metres.
     pub sdf_sigma: f64,
@@ -60,7 +66,8 @@ pub struct SolveOptions {
     pub max_normal_angle_initial: f64,
     /// Normal gate of the association from `tighten_iterations` on, radians, below pi/2.
     pub max_normal_angle: f64,
-    /// Iterations over which the window and the gates go from their first to their last value.
+    /// Iterations over which the window, the gates and the threshold on matches go from their first to their last
+    /// value.
     pub tighten_iterations: usize,
     /// Dense edges between cameras that differ by more than this rotation are skipped, radians.
     pub max_pair_rotation: f64,
@@ -86,10 +93,12 @@ impl Default for SolveOptions {
             feature_weight: 1.0,
             dense_weight: 1.0,
             sdf_weight: 1.0,
-            feature_huber: 0.005,
+            feature_huber: 2.5,
+            feature_saturation: 15.0,
+            feature_widening: 4.0,
             dense_huber: 0.005,
             sdf_huber: 0.005,
-            feature_sigma: 0.002,
+            feature_angle: 0.0005,
             depth_sigma_constant: 0.001,
             depth_sigma_quadratic: 0.002,
             sdf_sigma: 0.002,
@@ -116,12 +125,14 @@ impl Default for SolveOptions {
     }
 }
 
-/// Window and gates of the association at one iteration.
+/// Window and gates of the association, and what matches may differ by, at one iteration.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Gates {
     pub(crate) radius: usize,
     pub(crate) max_distance: f32,
     pub(crate) min_cosine: f32,
+    /// Huber threshold and saturation of the matches, standard deviations.
+    pub(crate) feature: [f32; 2],
     /// Whether they have reached their last value.
     pub(crate) last: bool,
 }
@@ -141,6 +152,8 @@ impl SolveOptions {
                 .max(1.0) as usize,
             max_distance: mix(self.max_distance_initial, self.max_distance) as f32,
             min_cosine: mix(self.max_normal_angle_initial, self.max_normal_angle).cos() as f32,
+            feature: [self.feature_huber, self.feature_saturation]
+                .map(|deviations| (deviations * mix(self.feature_widening, 1.0)) as f32),
             last: t >= 1.0,
         }
     }
@@ -160,9 +173,11 @@ impl SolveOptions {
     pub(crate) fn validate(&self) -> Result<(), Error> {
         let positive = [
             ("feature_huber", self.feature_huber),
+            ("feature_saturation", self.feature_saturation),
+            ("feature_widening", self.feature_widening),
             ("dense_huber", self.dense_huber),
             ("sdf_huber", self.sdf_huber),
-            ("feature_sigma", self.feature_sigma),
+            ("feature_angle", self.feature_angle),
             ("depth_sigma_constant", self.depth_sigma_constant),
             ("sdf_sigma", self.sdf_sigma),
             ("feature_cap", self.feature_cap),

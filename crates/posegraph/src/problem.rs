@@ -97,13 +97,15 @@ impl<'a> Problem<'a> {
         problem
     }
 
-    pub(crate) fn has_dense(&self) -> bool {
-        !self.dense.is_empty()
+    /// Whether later iterations are about the same cost as earlier ones.
+    pub(crate) fn is_steady(&self) -> bool {
+        self.dense.is_empty() && self.features.is_empty()
     }
 
-    /// Fixes the dense correspondences for the steps that follow.
+    /// Fixes the dense correspondences and the threshold on matches for the steps that follow.
     pub(crate) fn associate(&mut self, poses: &[Isometry3<f64>], iteration: usize, options: &SolveOptions) {
         let gates = options.gates(iteration);
+        self.features.iter_mut().for_each(|term| term.robust = gates.feature);
         let clouds = &self.clouds;
         parallel::for_each_mut(&mut self.dense, |term| {
             if let (Some(source), Some(target)) = (&clouds[term.source], &clouds[term.target]) {

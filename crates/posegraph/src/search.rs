@@ -367,7 +367,7 @@ mod tests {
             let mut rng = Pcg64Mcg::seed_from_u64(seed);
             let view = view(&mut rng, width, height);
             let cloud = Cloud::new(&view, &SolveOptions::default(), (800, 100));
-            let gates = Gates { radius, max_distance, min_cosine: 0.8, last: true };
+            let gates = Gates { radius, max_distance, min_cosine: 0.8, feature: [2.5, 15.0], last: true };
             for _ in 0..8 {
                 let mut vector = || [0; LANES].map(|_| rng.random_range(-1.0f32..1.0));
                 let [x, y, z, slant] = std::array::from_fn(|_| vector());
@@ -402,7 +402,13 @@ mod tests {
     #[test]
     fn points_that_do_not_project_find_nothing() {
         let view = view(&mut Pcg64Mcg::seed_from_u64(1), 9, 9);
-        let gates = Gates { radius: usize::MAX, max_distance: 10.0, min_cosine: 0.1, last: true };
+        let gates = Gates {
+            radius: usize::MAX,
+            max_distance: 10.0,
+            min_cosine: 0.1,
+            feature: [2.5, 15.0],
+            last: true,
+        };
         let cloud = Cloud::new(&view, &SolveOptions::default(), (800, 100));
         let find = |p: [f32; 3]| {
             let samples = Samples {

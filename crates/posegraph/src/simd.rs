@@ -8,11 +8,11 @@
 use std::ops::{Add, Div, Mul, Sub};
 
 use crate::cloud::Cloud;
-use crate::jacobian::{PairSums, RowSums};
+use crate::jacobian::{MatchSums, RowSums};
 use crate::lanes::{self, LANES, Lane};
 use crate::matches::Matches;
-use crate::moments;
 use crate::options::Gates;
+use crate::rays;
 use crate::stats::Tally;
 use crate::transform::Rigid;
 use crate::view::Pixel;
@@ -277,19 +277,16 @@ dispatch!(
     dense_tally => lanes::tally, (blocks: &[lanes::Block], pose: &Rigid<f32>, delta: f32) -> Tally
 );
 dispatch!(
-    /// [`moments::cost`].
-    feature_cost => moments::cost,
-    (blocks: &[moments::Block], poses: (&Rigid<f32>, &Rigid<f32>), delta: f32) -> f64
+    /// [`rays::cost`].
+    feature_cost => rays::cost, (blocks: &[rays::Block], pair: &rays::Pair) -> f64
 );
 dispatch!(
-    /// [`moments::sums`].
-    feature_sums => moments::sums,
-    (blocks: &[moments::Block], poses: (&Rigid<f32>, &Rigid<f32>), delta: f32) -> (PairSums, f64)
+    /// [`rays::sums`].
+    feature_sums => rays::sums, (blocks: &[rays::Block], pair: &rays::Pair) -> (MatchSums, f64)
 );
 dispatch!(
-    /// [`moments::tally`].
-    feature_tally => moments::tally,
-    (blocks: &[moments::Block], poses: (&Rigid<f32>, &Rigid<f32>), delta: f32) -> Tally
+    /// [`rays::tally`].
+    feature_tally => rays::tally, (blocks: &[rays::Block], pair: &rays::Pair) -> Tally
 );
 dispatch!(
     /// [`Matches::search`].

@@ -36,7 +36,8 @@ pub struct Solution {
     /// What the measurements tell of the newest node (the last that is free), the others given: in which directions it
     /// was held. `None` without a free node.
     pub observability: Option<Observability>,
-    /// Robustly weighted RMS of the feature residuals, metres; 0 without any.
+    /// Robustly weighted RMS of the feature residuals, standard deviations of a point's three coordinates together: about
+    /// `sqrt(3)` where the noise is as the options say; 0 without any.
     pub feature_rms: f64,
     /// Robustly weighted RMS of the point-to-plane residuals, metres; 0 without any.
     pub dense_rms: f64,
@@ -148,7 +149,7 @@ fn iterate(
     let mut damping = options.initial_damping.max(MIN_DAMPING);
     for iteration in 0..options.max_iterations {
         problem.associate(poses, iteration, options);
-        let settled = !problem.has_dense() || iteration >= options.tighten_iterations;
+        let settled = problem.is_steady() || iteration >= options.tighten_iterations;
         let mut cost = problem.linearise(poses, normal);
         if options.hold {
             cost += problem.hold(poses, normal);

@@ -67,8 +67,13 @@ impl<V: Vector> Sums<V> {
     /// Adds eight residuals `e >= 0`; a lane without a match has no weight.
     #[inline(always)]
     pub(crate) fn add(&mut self, e: V, weight: V, delta: V) {
+        self.add_robust(e, weight, lanes::huber(e, weight, delta).1, delta);
+    }
+
+    /// The same where `weight` has been made robust already, to `w`.
+    #[inline(always)]
+    pub(crate) fn add_robust(&mut self, e: V, weight: V, w: V, delta: V) {
         let (zero, one) = (V::splat(0.0), V::splat(1.0));
-        let (_, w) = lanes::huber(e, weight, delta);
         self.weight = self.weight + w;
         self.squares = self.squares + w * e * e;
         self.inliers = self.inliers + V::if_at_most(e, delta, V::if_less(zero, weight, one, zero), zero);

@@ -89,7 +89,9 @@ fn noisy_graphs_with_outliers_recover_the_truth() {
                 graph.add_feature_edge(edge).unwrap();
             }
         }
-        let options = SolveOptions { max_iterations: 30, ..SolveOptions::default() };
+        // Up to a millimetre in each coordinate, half a metre away.
+        let angle = 0.001 / 3f64.sqrt() / 0.5;
+        let options = SolveOptions { max_iterations: 30, feature_angle: angle, ..SolveOptions::default() };
         let solution = solve(&graph, &options).unwrap();
         assert!(solution.converged, "seed {seed}: {} iterations", solution.iterations);
         for (pose, truth) in solution.poses.iter().zip(&truth) {
@@ -98,6 +100,34 @@ fn noisy_graphs_with_outliers_recover_the_truth() {
         }
         assert!(solution.feature_inliers.iter().all(|&n| (45..=75).contains(&n)));
     }
+}
+
+#[test]
+fn a_depth_that_is_off_everywhere_moves_a_pose_less_than_it_is_off() {
+    // A camera whose depth is 3 mm too long sees the same points as four right ones. Their pixels are exact.
+    let mut rng = rng(11);
+    let truth: Vec<_> = (0..5).map(|k| orbit(0.5, 0.2 * f64::from(k), 0.0)).collect();
+    let mut graph = PoseGraph::new();
+    for (k, pose) in truth.iter().enumerate() {
+        graph.add_node(node(*pose, k < 4));
+    }
+    for k in 0..4 {
+        let mut edge = matches(&mut rng, (k, &truth[k]), (4, &truth[4]), 100, 0.0, 0.0);
+        for p in &mut edge.points_j {
+            let scale = 1.0 + 0.003 / p.iter().map(|c| c * c).sum::<f32>().sqrt();
+            *p = p.map(|c| c * scale);
+        }
+        graph.add_feature_edge(edge).unwrap();
+    }
+    let off = |angle: f64| {
+        let options = SolveOptions { feature_angle: angle, ..SolveOptions::default() };
+        error(&solve(&graph, &options).unwrap().poses[4], &truth[4]).0
+    };
+    // As uncertain across the rays as along them, half a metre away.
+    let alike = off(0.003);
+    let by_rays = off(0.000_3);
+    assert!(alike > 0.002, "{alike}");
+    assert!(by_rays < 0.5 * alike, "{by_rays} {alike}");
 }
 
 #[test]
@@ -116,8 +146,10 @@ fn the_count_cap_keeps_a_crowded_edge_from_dominating() {
     graph.add_feature_edge(repeated(1, 0, 25_000)).unwrap();
     graph.add_feature_edge(repeated(1, 2, 50)).unwrap();
     let x = |options: &SolveOptions| solve(&graph, options).unwrap().poses[1].translation.x;
-    assert!((x(&SolveOptions::default()) - 0.001).abs() < 1e-6);
-    let uncapped = SolveOptions { feature_cap: f64::INFINITY, ..SolveOptions::default() };
+    // Two millimetres are far for points at a decimetre.
+    let capped = SolveOptions { feature_huber: 1e3, ..SolveOptions::default() };
+    assert!((x(&capped) - 0.001).abs() < 1e-6);
+    let uncapped = SolveOptions { feature_cap: f64::INFINITY, ..capped };
     assert!(x(&uncapped) < 1e-5);
 }
 
@@ -166,7 +198,12 @@ fn covariance_is_the_inverse_hessian_in_a_linear_chain() {
         let mut j = nalgebra::Matrix3x6::zeros();
         j.fixed_view_mut::<3, 3>(0, 0).fill_with_identity();
         j.fixed_view_mut::<3, 3>(0, 3).copy_from(&-x.cross_matrix());
-        block += j.transpose() * j / (options.feature_sigma * options.feature_sigma);
+        let across = (options.feature_angle * x.norm()).powi(2);
+        let along = options.depth_sigma_constant + options.depth_sigma_quadratic * x.norm_squared();
+        let ray = x.normalize();
+        let covariance =
+            nalgebra::Matrix3::identity() * across + ray * ray.transpose() * (along * along - across);
+        block += j.transpose() * (2.0 * covariance).try_inverse().unwrap() * j;
     }
     // H = [P + B, -B; -B, B]: the inverse has P^-1 and P^-1 + B^-1 on its diagonal.
     let prior = information.try_inverse().unwrap();

@@ -92,6 +92,7 @@ pub(super) fn align(
     edges: &Edges,
     config: &Config,
     field: Option<&TrainedField>,
+    stop: &AtomicBool,
 ) -> f64 {
     let poses: Vec<_> = keyframes.iter().map(|k| k.refined).collect();
     let held: Vec<_> = keyframes.iter().map(|k| k.online).collect();
@@ -101,7 +102,7 @@ pub(super) fn align(
         edges: edges.clone(),
         frames: keyframes.iter().map(|k| (k.observation.index, k.observation.clone(), k.refined)).collect(),
     };
-    let Some((poses, weight)) = global_graph::optimise_weighed(&request, &poses, &held, field) else {
+    let Some((poses, weight)) = global_graph::optimise_weighed(&request, &poses, &held, field, stop) else {
         return 0.0;
     };
     for (keyframe, pose) in keyframes.iter_mut().zip(poses) {
@@ -144,7 +145,7 @@ mod tests {
         let truth: Vec<_> = (142..186).step_by(4).map(keyframe).collect();
         let furthest = |edges: &Edges| {
             let mut keyframes = truth.clone();
-            align(&mut keyframes, edges, &config, None);
+            align(&mut keyframes, edges, &config, None, &AtomicBool::new(false));
             let turn = |k: &Keyframe| k.refined.rotation.angle_to(&k.online.rotation).to_degrees();
             keyframes.iter().map(turn).fold(0.0, f64::max)
         };

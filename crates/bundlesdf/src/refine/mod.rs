@@ -18,7 +18,7 @@ use neural_field::{Control, FieldConfig, FieldError, FieldImages, StepLosses, Tr
 
 use rgbd_io::FrameSource;
 
-use crate::{observation::Observation, output::OutputFolder, surface::field_surface};
+use crate::{config::Config, observation::Observation, output::OutputFolder, surface::field_surface};
 
 /// What a refinement does.
 #[derive(Clone, Debug)]
@@ -31,9 +31,20 @@ pub struct RefineOptions {
     pub spacing: f32,
 }
 
+impl RefineOptions {
+    /// Edge of a marching-cubes cell where nothing else is asked for (metres).
+    pub const SPACING: f32 = 0.002;
+
+    /// What the config of a run asks for.
+    pub fn of(config: &Config) -> Self {
+        let field = FieldConfig { steps: config.field.refine_steps, ..FieldConfig::refine() };
+        Self { field, close: false, spacing: Self::SPACING }
+    }
+}
+
 impl Default for RefineOptions {
     fn default() -> Self {
-        Self { field: FieldConfig::refine(), close: false, spacing: 0.002 }
+        Self::of(&Config::default())
     }
 }
 
@@ -42,7 +53,7 @@ impl Default for RefineOptions {
 pub enum Progress {
     /// Keyframes read again from the video, of all.
     Reading(usize, usize),
-    /// Training steps done, of all.
+    /// Training steps done, of all: first those that move keyframes, then those on where they ended up.
     Training(usize, usize),
     /// Frames placed, of all.
     Frames(usize, usize),
@@ -136,11 +147,14 @@ pub fn refine(
         return Err(RefineError::NoKeyframes(folder.path().display().to_string()));
     }
     let edges = keyframes::matches(&keyframes, run.config);
-    keyframes::align(&mut keyframes, &edges, run.config, None);
+    keyframes::align(&mut keyframes, &edges, run.config, None, stop);
     let begin = Instant::now();
-    let field = train(&keyframes, &options.field, stop, progress)?;
+    let field = train(&keyframes, &options.field, 0, stop, progress)?;
+    let weight = keyframes::align(&mut keyframes, &edges, run.config, Some(&field), stop);
+    // The field left the keyframes a little elsewhere: the surface is to be that of the poses that are given out.
+    let still = FieldConfig { pose_learning_rate: 0.0, ..options.field.clone() };
+    let field = train(&keyframes, &still, options.field.steps, stop, progress)?;
     let training = begin.elapsed();
-    let weight = keyframes::align(&mut keyframes, &edges, run.config, Some(&field));
     let frames = frames::place_all(&run, &report.frames, &keyframes, (&field, weight), stop, progress)?;
 
     let mesh = if options.close {
@@ -178,15 +192,18 @@ impl Run<'_> {
     }
 }
 
+/// One of the two rounds, `before` steps into them.
 fn train(
     keyframes: &[keyframes::Keyframe],
     config: &FieldConfig,
+    before: usize,
     stop: &AtomicBool,
     progress: &(dyn Fn(Progress) + Sync),
 ) -> Result<Arc<TrainedField>, RefineError> {
     let images: Vec<_> = keyframes.iter().map(|k| k.observation.images.clone()).collect();
     let poses: Vec<_> = keyframes.iter().map(|k| k.refined).collect();
-    let each = |step: usize, _: &StepLosses| progress(Progress::Training(step + 1, config.steps));
+    let each =
+        |step: usize, _: &StepLosses| progress(Progress::Training(before + step + 1, 2 * config.steps));
     let control = Control { stop: Some(stop), progress: Some(&each) };
     match neural_field::train(config, &images, &poses, &control) {
         Ok(field) => Ok(Arc::new(field)),
