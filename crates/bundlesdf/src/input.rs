@@ -20,7 +20,7 @@ pub enum VideoInput {
     Folder {
         /// The folder.
         path: PathBuf,
-        /// `first`, `all`, or a folder of masks.
+        /// `first`, `all`, `none`, or a folder of masks.
         masks: String,
         /// The first frame's mask, when it isn't `masks/<first frame>.png`.
         #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -90,6 +90,18 @@ impl VideoInput {
         })
     }
 
+    /// The same video without masks, for work with those that a run has written.
+    #[must_use]
+    pub fn without_masks(&self) -> Self {
+        let mut input = self.clone();
+        match &mut input {
+            Self::Folder { masks, first_mask, .. } => (*masks, *first_mask) = (NO_MASKS.to_owned(), None),
+            Self::Dataset { masks, .. } => *masks = NO_MASKS.to_owned(),
+            Self::Synthetic { .. } => {}
+        }
+        input
+    }
+
     /// What to call the video in reports.
     #[must_use]
     pub fn name(&self) -> String {
@@ -103,12 +115,16 @@ impl VideoInput {
     }
 }
 
-/// `first`, `all`, or a folder.
+/// What [`VideoInput`] and the command line call no masks.
+const NO_MASKS: &str = "none";
+
+/// `first`, `all`, `none`, or a folder.
 #[must_use]
 pub fn mask_source(text: &str) -> MaskSource {
     match text {
         "first" => MaskSource::First,
         "all" => MaskSource::All,
+        NO_MASKS => MaskSource::None,
         folder => MaskSource::Folder(PathBuf::from(folder)),
     }
 }

@@ -25,12 +25,13 @@ const MASKS: &str = "masks";
 const REFINED_POSES: &str = "ob_in_cam_refined";
 
 /// Files directly in the folder that a run or a later step writes.
-const FILES: [&str; 9] = [
+const FILES: [&str; 10] = [
     "run.json",
     "keyframes.json",
     "mesh.ply",
     "mesh.obj",
     "eval.json",
+    "eval_refined.json",
     "report.html",
     "keyframes_refined.json",
     "mesh_online.ply",

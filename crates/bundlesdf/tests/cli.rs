@@ -30,7 +30,7 @@ fn files(folder: &Path) -> Vec<PathBuf> {
 /// Runs on the damaged video: exit code 2, one line on standard error that holds every word, nothing half-written.
 fn refused(video: &Path, words: &[&str]) {
     let out = video.parent().unwrap().join("out");
-    let output = bundlesdf(&["run", video.to_str().unwrap(), "--out", out.to_str().unwrap()]);
+    let output = bundlesdf(&["run", video.to_str().unwrap(), "--out", out.to_str().unwrap(), "--no-refine"]);
     let text = String::from_utf8(output.stderr).unwrap();
     assert_eq!(output.status.code(), Some(2), "{text}");
     let errors: Vec<_> = text.lines().filter(|l| l.starts_with("error: ")).collect();
@@ -52,7 +52,7 @@ fn refused(video: &Path, words: &[&str]) {
 fn a_run_writes_a_pose_per_frame_and_its_report() {
     let (dir, video) = video(8);
     let out = dir.path().join("out");
-    let args = ["run", video.to_str().unwrap(), "--out", out.to_str().unwrap()];
+    let args = ["run", video.to_str().unwrap(), "--out", out.to_str().unwrap(), "--no-refine"];
     let output = bundlesdf(&args);
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let names = |p: PathBuf| files(&p).iter().map(|f| f.file_stem().unwrap().to_owned()).collect::<Vec<_>>();
@@ -66,6 +66,7 @@ fn a_run_writes_a_pose_per_frame_and_its_report() {
         assert!(report["frames"][3]["ms"][key].is_number(), "{key}");
     }
     assert!(out.join("keyframes.json").exists() && out.join("report.html").exists());
+    assert!(!out.join("ob_in_cam_refined").exists());
     // A second run doesn't overwrite it unless told to.
     let again = bundlesdf(&args);
     assert_eq!(again.status.code(), Some(2));
@@ -78,7 +79,7 @@ fn a_finished_run_can_be_logged_reported_and_drawn() {
     let out = dir.path().join("out");
     let (input, results) = (video.to_str().unwrap(), out.to_str().unwrap());
     let config = dir.path().join("short.toml");
-    fs::write(&config, "[field]\nsteps = 20\nfinal_steps = 20\n").unwrap();
+    fs::write(&config, "[field]\nsteps = 20\nfinal_steps = 20\nrefine_steps = 20\n").unwrap();
     let config = config.to_str().unwrap();
     let output = bundlesdf(&["run", input, "--out", results, "--config", config, "--json-log"]);
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
@@ -89,6 +90,7 @@ fn a_finished_run_can_be_logged_reported_and_drawn() {
         .collect();
     let named = |name: &str| events.iter().filter(|e| e["event"] == name).count();
     assert_eq!((named("start"), named("frame"), named("finishing"), named("summary")), (1, 5, 1, 1));
+    assert_eq!((named("refined"), files(&out.join("ob_in_cam_refined")).len()), (1, 5));
     let summary = events.last().unwrap();
     assert_eq!((&summary["event"], &summary["frames"]), (&"summary".into(), &5.into()));
 
@@ -118,8 +120,11 @@ fn a_finished_run_can_be_refined() {
     let (input, results) = (video.to_str().unwrap(), out.to_str().unwrap());
     let config = dir.path().join("short.toml");
     fs::write(&config, "[field]\nsteps = 40\nfinal_steps = 60\n").unwrap();
-    let run = ["run", input, "--out", results, "--masks", "all", "--config", config.to_str().unwrap()];
+    let config = config.to_str().unwrap();
+    let run = ["run", input, "--out", results, "--masks", "all", "--config", config, "--no-refine"];
     assert!(bundlesdf(&run).status.success());
+    // A refinement needs the images again, not the masks.
+    fs::remove_dir_all(video.join("masks")).unwrap();
     let read = |name: &str| fs::read(out.join(name)).unwrap();
     let names = ["mesh.ply", "mesh.obj", "mesh.glb"];
     let before = names.map(read);

@@ -1,6 +1,9 @@
 //! `bundlesdf demo`: the whole system on a video whose truth is exact.
 
-use std::{process::ExitCode, sync::Arc};
+use std::{
+    process::ExitCode,
+    sync::{Arc, atomic::Ordering},
+};
 
 use bundlesdf::{
     OutputFolder, Status, VideoInput,
@@ -10,10 +13,11 @@ use rgbd_io::FrameSource;
 use rgbd_synth::{Masks, Sequence};
 
 use super::{
-    DemoArgs, DemoMasks, EXIT_INTERRUPTED, export,
+    DemoArgs, DemoMasks, EXIT_INTERRUPTED,
     log::Log,
-    report::write_report,
-    run::{print, summary, track},
+    refine::truth_lines,
+    run::{finish, print, summary, track},
+    stop_flag,
 };
 
 /// Makes the video, runs the system on it and prints how good the result is.
@@ -34,7 +38,9 @@ pub(super) fn demo(args: &DemoArgs, log: Log) -> anyhow::Result<ExitCode> {
     let source: Arc<dyn FrameSource> = Arc::new(video.clone());
     let given = if args.masks == DemoMasks::All { "all" } else { "first" };
     let input = VideoInput::Synthetic { name: "demo".into(), masks: given.into(), frames: video.len() };
-    let (run, report) = track(source, input, (&config, schedule, &args.how.segmenter), &folder, log)?;
+    let stop = stop_flag();
+    let how = (&config, schedule, &args.how.segmenter);
+    let (run, report) = track(source, input, how, &folder, &stop, log)?;
     let truth: Vec<_> = (0..run.frames.len()).map(|i| video.cam_from_obj(i)).collect();
     let truth = Truth {
         cam_from_obj: &truth,
@@ -45,12 +51,14 @@ pub(super) fn demo(args: &DemoArgs, log: Log) -> anyhow::Result<ExitCode> {
     let poses: Vec<_> = run.frames.iter().map(|f| f.cam_from_obj).collect();
     let scores = evaluate(&poses, run.reconstruction.mesh.as_ref(), report.count(Status::Lost), &truth);
     folder.write_json("eval.json", &scores)?;
-    let assets = if args.how.no_export { None } else { export::at_the_end(&report, &folder, log) };
-    write_report(&folder, log);
+    let products = finish(&report, &folder, &args.how, &stop, log);
     log.summary(&report, &folder);
-    print(&summary(&report, assets.as_ref(), &folder));
-    print(&score_lines(&scores));
-    Ok(if run.interrupted { ExitCode::from(EXIT_INTERRUPTED) } else { ExitCode::SUCCESS })
+    print(&summary(&report, &products, &folder));
+    match &products.refined {
+        Some(refined) => print(&truth_lines(&report, &folder, refined)?),
+        None => print(&score_lines(&scores)),
+    }
+    Ok(if stop.load(Ordering::SeqCst) { ExitCode::from(EXIT_INTERRUPTED) } else { ExitCode::SUCCESS })
 }
 
 fn score_lines(scores: &Scores) -> String {

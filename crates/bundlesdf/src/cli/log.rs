@@ -4,6 +4,7 @@ use std::io::{IsTerminal, Write};
 
 use bundlesdf::{
     FrameResult, OutputFolder, RoundReport, RunReport, Status, VideoInput, export::ExportReport,
+    refine::Refined,
 };
 use serde_json::{Value, json};
 
@@ -54,6 +55,16 @@ impl Log {
         self.event(|| {
             json!({ "event": "assets", "files": report.files, "faces": report.faces,
                 "ms": rounded((s.load + s.mesh + s.texture + s.write) * 1e3), "out": folder.path() })
+        });
+    }
+
+    pub(super) fn refined(self, refined: &Refined, folder: &OutputFolder) {
+        let measured = refined.frames.iter().filter(|f| f.measured).count();
+        self.event(|| {
+            json!({ "event": "refined", "frames": refined.frames.len(), "measured": measured,
+                "keyframes": refined.keyframes.len(), "vertices": refined.mesh.vertices.len(),
+                "faces": refined.mesh.triangles.len(), "ms": rounded(refined.wall.as_secs_f64() * 1e3),
+                "out": folder.path() })
         });
     }
 

@@ -123,8 +123,8 @@ struct RunArgs {
     /// Name of the sequence in the dataset.
     #[arg(long, value_name = "NAME", requires = "dataset")]
     video: Option<String>,
-    /// Folder for the results: report.html, ob_in_cam/, masks/, mesh.obj, mesh.ply, mesh.glb, textured.obj,
-    /// keyframes.json, run.json.
+    /// Folder for the results: report.html, ob_in_cam/, ob_in_cam_refined/, masks/, mesh.obj, mesh.ply, mesh.glb,
+    /// textured.obj, keyframes.json, run.json.
     #[arg(long, required_unless_present = "resume")]
     out: Option<PathBuf>,
     /// Go on with the run in this output folder that was stopped: by Ctrl-C, a kill, a full disk. Video and settings
@@ -237,6 +237,9 @@ struct HowArgs {
     /// Bit-identical results in every run on one machine (implies lockstep and the CPU).
     #[arg(long)]
     deterministic: bool,
+    /// Leave out the refinement at the end (ob_in_cam_refined/, a finer mesh); `bundlesdf refine` makes it later.
+    #[arg(long)]
+    no_refine: bool,
     /// Leave out the textured mesh at the end (mesh.glb, textured.obj); `bundlesdf export` makes it later.
     #[arg(long)]
     no_export: bool,

@@ -1,10 +1,11 @@
 //! `bundlesdf refine`.
 
-use std::{io::IsTerminal, path::PathBuf, process::ExitCode};
+use std::{io::IsTerminal, path::PathBuf, process::ExitCode, sync::atomic::AtomicBool};
 
 use anyhow::Context;
 use bundlesdf::{
     OutputFolder, RunReport, Status, VideoInput,
+    config::Refiner,
     evaluate::{Scores, Truth, evaluate},
     refine::{Progress, RefineError, RefineOptions, Refined, refine as refine_run},
 };
@@ -22,11 +23,11 @@ pub(super) struct RefineArgs {
     /// Bridge the holes of the mesh where the object was never seen: watertight.
     #[arg(long)]
     close: bool,
-    /// Training steps of the field.
+    /// Training steps of each of the two rounds of the field, instead of what the run's config says.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=100_000))]
     steps: Option<u32>,
     /// Edge of a marching-cubes cell.
-    #[arg(long, value_name = "METRES", default_value_t = 0.002)]
+    #[arg(long, value_name = "METRES", default_value_t = RefineOptions::SPACING)]
     spacing: f32,
 }
 
@@ -38,27 +39,19 @@ pub(super) fn refine(args: &RefineArgs, log: Log) -> anyhow::Result<ExitCode> {
         args.spacing
     );
     let folder = OutputFolder::open(&args.out)?;
-    let mut options = RefineOptions { close: args.close, spacing: args.spacing, ..RefineOptions::default() };
+    let report = folder.read_report()?;
+    let mut options =
+        RefineOptions { close: args.close, spacing: args.spacing, ..RefineOptions::of(&report.config) };
     if let Some(steps) = args.steps {
         options.field.steps = steps as usize;
     }
-    let bar = Bar::new();
-    let report = folder.read_report()?;
-    let input = report.input.as_ref().with_context(|| {
-        let folder = folder.path().display();
-        format!("{folder}: run.json doesn't say where the video is; run it again with `bundlesdf run`")
-    })?;
-    let source = input.open()?;
-    let refined = refine_run(&folder, &*source, &options, &stop_flag(), &|at| bar.show(at));
-    bar.0.finish_and_clear();
-    let refined = match refined {
-        Err(RefineError::Stopped) => {
-            eprintln!("error: {}", RefineError::Stopped);
+    let refined = match improve(&report, &folder, &options, &stop_flag(), log) {
+        Err(error) if is_stop(&error) => {
+            eprintln!("error: {error}");
             return Ok(ExitCode::from(EXIT_INTERRUPTED));
         }
         other => other?,
     };
-    folder.write_refined(&refined)?;
     // The report shows this file: it must not be the mesh from before.
     if folder.path().join("mesh.glb").is_file() {
         export::at_the_end(&report, &folder, log);
@@ -69,12 +62,60 @@ pub(super) fn refine(args: &RefineArgs, log: Log) -> anyhow::Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
+/// The refinement at the end of a run, unless it was cut short or has nothing to refine. The results of the run are all
+/// there without it: a failure is a warning.
+pub(super) fn at_the_end(
+    report: &RunReport,
+    folder: &OutputFolder,
+    stop: &AtomicBool,
+    log: Log,
+) -> Option<Refined> {
+    if report.interrupted || report.keyframes == 0 || report.config.field.refiner != Refiner::Field {
+        return None;
+    }
+    match improve(report, folder, &RefineOptions::of(&report.config), stop, log) {
+        Ok(refined) => Some(refined),
+        Err(error) => {
+            let again = folder.path().display();
+            log.warning(&format!("not refined: {error}; `bundlesdf refine {again}` tries again"));
+            None
+        }
+    }
+}
+
+/// Refines a run and writes the results.
+fn improve(
+    report: &RunReport,
+    folder: &OutputFolder,
+    options: &RefineOptions,
+    stop: &AtomicBool,
+    log: Log,
+) -> anyhow::Result<Refined> {
+    let input = report.input.as_ref().with_context(|| {
+        let folder = folder.path().display();
+        format!("{folder}: run.json doesn't say where the video is; run it again with `bundlesdf run`")
+    })?;
+    // The run has a mask for every frame; those of the video may not be there any more.
+    let source = input.without_masks().open()?;
+    let bar = Bar::new(log);
+    let refined = refine_run(folder, &*source, options, stop, &|at| bar.show(at));
+    bar.0.finish_and_clear();
+    let refined = refined?;
+    folder.write_refined(&refined)?;
+    log.refined(&refined, folder);
+    Ok(refined)
+}
+
+fn is_stop(error: &anyhow::Error) -> bool {
+    matches!(error.downcast_ref(), Some(RefineError::Stopped))
+}
+
 /// The bar of the stage under way.
 struct Bar(ProgressBar);
 
 impl Bar {
-    fn new() -> Self {
-        let terminal = std::io::stderr().is_terminal();
+    fn new(log: Log) -> Self {
+        let terminal = log == Log::Text && std::io::stderr().is_terminal();
         let target = if terminal { ProgressDrawTarget::stderr() } else { ProgressDrawTarget::hidden() };
         let bar = ProgressBar::with_draw_target(Some(1), target);
         if let Ok(style) = ProgressStyle::with_template("{spinner} {msg} {pos}/{len} [{wide_bar}] eta {eta}")
@@ -129,8 +170,23 @@ fn summary(refined: &Refined, folder: &OutputFolder) -> String {
     text
 }
 
-/// Scores before and after, where the video is synthetic and its truth known.
-fn truth_lines(report: &RunReport, folder: &OutputFolder, refined: &Refined) -> anyhow::Result<String> {
+/// One line for the table of a run.
+pub(super) fn line(refined: &Refined) -> String {
+    let (frames, keyframes) = (refined.frames.len(), refined.keyframes.len());
+    let measured = refined.frames.iter().filter(|f| f.measured).count();
+    let seconds = refined.wall.as_secs_f64();
+    format!(
+        "{:<10} {frames} frames ({measured} measured) and {keyframes} keyframes in {seconds:.1} s\n",
+        "refined"
+    )
+}
+
+/// Scores before and after, where the video is synthetic and its truth known; writes the latter.
+pub(super) fn truth_lines(
+    report: &RunReport,
+    folder: &OutputFolder,
+    refined: &Refined,
+) -> anyhow::Result<String> {
     let Some(VideoInput::Synthetic { name, .. }) = &report.input else { return Ok(String::new()) };
     let video = if name == "demo" { Some(Sequence::demo()) } else { Sequence::named(name) };
     let Some(video) = video else { return Ok(String::new()) };
@@ -149,6 +205,7 @@ fn truth_lines(report: &RunReport, folder: &OutputFolder, refined: &Refined) -> 
     let poses: Vec<_> = refined.frames.iter().map(|f| f.cam_from_obj).collect();
     let unmeasured = refined.frames.iter().filter(|f| !f.measured).count();
     let after = evaluate(&poses, Some(&refined.mesh), unmeasured, &truth);
+    folder.write_json("eval_refined.json", &after)?;
     let line = |name: &str, s: &Scores| {
         let chamfer = s.cd_cm.map_or_else(String::new, |cd| format!(", chamfer {cd:.2} cm"));
         format!("{name:<10} ADD AUC {:.2}, ADD-S AUC {:.2} (0 to 0.1 m, percent){chamfer}", s.add, s.add_s)

@@ -1,17 +1,25 @@
 //! `bundlesdf run`.
 
-use std::{io::Write, path::Path, process::ExitCode, sync::Arc};
+use std::{
+    io::Write,
+    path::Path,
+    process::ExitCode,
+    sync::{
+        Arc,
+        atomic::{AtomicBool, Ordering},
+    },
+};
 
 use bundlesdf::{
     Config, Manifest, OutputFolder, RunError, RunReport, RunSoFar, Schedule, SegmenterChoice, StateFolder,
     Status, Tracker, VideoInput, VideoRun, continue_video, export::ExportReport, input::mask_source,
-    segmenter::OnTrouble,
+    refine::Refined, segmenter::OnTrouble,
 };
 use rgbd_io::{CustomOptions, FrameSource};
 
 use super::{
-    EXIT_BAD_INPUT, EXIT_INTERRUPTED, InputArgs, RunArgs, export, log::Log, progress::Progress,
-    report::write_report, stop_flag,
+    EXIT_BAD_INPUT, EXIT_INTERRUPTED, HowArgs, InputArgs, RunArgs, export, log::Log, progress::Progress,
+    refine, report::write_report, stop_flag,
 };
 
 /// How the input arguments read a custom folder.
@@ -45,26 +53,15 @@ fn video_input(args: &RunArgs, input: &Path) -> anyhow::Result<VideoInput> {
 
 /// Tracks a video, or goes on with one.
 pub(super) fn run(args: &RunArgs, log: Log) -> anyhow::Result<ExitCode> {
+    let stop = stop_flag();
     let (folder, (run, report)) = match (&args.resume, &args.input, &args.out) {
         (Some(out), _, _) => {
             if is_done(out) {
-                // The process may have been killed between the last result and tidying up.
-                if let Ok((state, _)) = StateFolder::open(out) {
-                    state.remove()?;
-                }
-                if !out.join("report.html").exists() {
-                    let folder = OutputFolder::reopen(out)?;
-                    if !args.how.no_export {
-                        export::at_the_end(&folder.read_report()?, &folder, log);
-                    }
-                    write_report(&folder, log);
-                }
-                print(&format!("{} is done: there is nothing to go on with\n", out.display()));
-                return Ok(ExitCode::SUCCESS);
+                return tidy_up(out, &args.how, &stop, log);
             }
             let (state, manifest) = StateFolder::open(out)?;
             let folder = OutputFolder::reopen(out)?;
-            let done = go_on(state, &manifest, &folder, log)?;
+            let done = go_on(state, &manifest, &folder, &stop, log)?;
             (folder, done)
         }
         (None, Some(input), Some(out)) => {
@@ -72,17 +69,17 @@ pub(super) fn run(args: &RunArgs, log: Log) -> anyhow::Result<ExitCode> {
             let input = video_input(args, input)?;
             let source = input.open()?;
             let folder = OutputFolder::create(out, args.force)?;
-            let done = track(source, input, (&config, schedule, &args.how.segmenter), &folder, log)?;
+            let how = (&config, schedule, &args.how.segmenter);
+            let done = track(source, input, how, &folder, &stop, log)?;
             (folder, done)
         }
         _ => anyhow::bail!("give a video and --out, or --resume with an output folder"),
     };
-    let assets = if args.how.no_export { None } else { export::at_the_end(&report, &folder, log) };
-    write_report(&folder, log);
+    let products = finish(&report, &folder, &args.how, &stop, log);
     log.summary(&report, &folder);
-    print(&summary(&report, assets.as_ref(), &folder));
+    print(&summary(&report, &products, &folder));
     Ok(match run.unreadable.first() {
-        _ if run.interrupted => ExitCode::from(EXIT_INTERRUPTED),
+        _ if stop.load(Ordering::SeqCst) => ExitCode::from(EXIT_INTERRUPTED),
         Some(first) => {
             let others = run.unreadable.len() - 1;
             let more = if others > 0 { format!(" (and {others} more frames)") } else { String::new() };
@@ -91,6 +88,41 @@ pub(super) fn run(args: &RunArgs, log: Log) -> anyhow::Result<ExitCode> {
         }
         None => ExitCode::SUCCESS,
     })
+}
+
+/// What comes after tracking.
+#[derive(Default)]
+pub(super) struct Products {
+    pub(super) refined: Option<Refined>,
+    assets: Option<ExportReport>,
+}
+
+/// Refines the run, makes the textured mesh and the report.
+pub(super) fn finish(
+    report: &RunReport,
+    folder: &OutputFolder,
+    how: &HowArgs,
+    stop: &AtomicBool,
+    log: Log,
+) -> Products {
+    let refined = if how.no_refine { None } else { refine::at_the_end(report, folder, stop, log) };
+    let stopped = stop.load(Ordering::SeqCst);
+    let assets = if how.no_export || stopped { None } else { export::at_the_end(report, folder, log) };
+    write_report(folder, log);
+    Products { refined, assets }
+}
+
+/// A run that is done may lack what comes after tracking: the process may have been killed there.
+fn tidy_up(out: &Path, how: &HowArgs, stop: &AtomicBool, log: Log) -> anyhow::Result<ExitCode> {
+    if let Ok((state, _)) = StateFolder::open(out) {
+        state.remove()?;
+    }
+    if !out.join("report.html").exists() {
+        let folder = OutputFolder::reopen(out)?;
+        finish(&folder.read_report()?, &folder, how, stop, log);
+    }
+    print(&format!("{} is done: there is nothing to go on with\n", out.display()));
+    Ok(ExitCode::SUCCESS)
 }
 
 /// Whether the run in the folder came to its end.
@@ -105,13 +137,14 @@ pub(super) fn track(
     input: VideoInput,
     (config, schedule, segmenter): (&Config, Schedule, &SegmenterChoice),
     folder: &OutputFolder,
+    stop: &AtomicBool,
     log: Log,
 ) -> anyhow::Result<(VideoRun, RunReport)> {
     let manifest = Manifest::new(&input, (config, schedule, segmenter), &*source);
     let segmenter = segmenter.build(&*source, on_trouble(log))?;
     let state = StateFolder::create(folder.path(), &manifest)?;
     let run = RunSoFar::new(Tracker::new(config.clone(), schedule)?.with_segmenter(segmenter));
-    complete(run, source, state, &manifest, folder, log)
+    complete(run, source, state, &manifest, folder, stop, log)
 }
 
 fn on_trouble(log: Log) -> OnTrouble {
@@ -123,6 +156,7 @@ fn go_on(
     mut state: StateFolder,
     manifest: &Manifest,
     folder: &OutputFolder,
+    stop: &AtomicBool,
     log: Log,
 ) -> anyhow::Result<(VideoRun, RunReport)> {
     let source = manifest.open_input()?;
@@ -139,7 +173,7 @@ fn go_on(
         }
     };
     log.note(&format!("going on after {} of {} frames", run.frames.len(), source.len()));
-    complete(run, source, state, manifest, folder, log)
+    complete(run, source, state, manifest, folder, stop, log)
 }
 
 fn complete(
@@ -148,12 +182,12 @@ fn complete(
     state: StateFolder,
     manifest: &Manifest,
     folder: &OutputFolder,
+    stop: &AtomicBool,
     log: Log,
 ) -> anyhow::Result<(VideoRun, RunReport)> {
-    let stop = stop_flag();
     log.start(source.len(), &manifest.input, folder);
     let mut progress = Progress::new(&run, source.len(), folder, state, log);
-    let outcome = continue_video(source, run, &stop, &mut progress);
+    let outcome = continue_video(source, run, stop, &mut progress);
     let state = progress.close();
     let run = outcome.map_err(|error| match error {
         RunError::Output(e) => anyhow::Error::from(with_way_on(e, folder)),
@@ -179,7 +213,7 @@ fn with_way_on(error: rgbd_io::Error, folder: &OutputFolder) -> rgbd_io::Error {
 }
 
 /// The closing table.
-pub(super) fn summary(report: &RunReport, assets: Option<&ExportReport>, folder: &OutputFolder) -> String {
+pub(super) fn summary(report: &RunReport, products: &Products, folder: &OutputFolder) -> String {
     let statuses = [Status::Tracked, Status::Relocalised, Status::Weak, Status::Lost]
         .map(|s| format!("{} {}", report.count(s), s.as_str()))
         .join(", ");
@@ -195,7 +229,8 @@ pub(super) fn summary(report: &RunReport, assets: Option<&ExportReport>, folder:
         report.field.ms_per_round_median / 1e3,
         report.field.steps
     );
-    let textured = if assets.is_some() { " mesh.glb, textured.obj," } else { "" };
+    let textured = if products.assets.is_some() { " mesh.glb, textured.obj," } else { "" };
+    let refined = if products.refined.is_some() { " ob_in_cam_refined/," } else { "" };
     let mut text = String::new();
     for (name, value) in [
         ("frames", format!("{} ({statuses})", report.frames.len())),
@@ -206,12 +241,15 @@ pub(super) fn summary(report: &RunReport, assets: Option<&ExportReport>, folder:
         (
             "results",
             format!(
-                "{} (report.html,{textured} ob_in_cam/, masks/, mesh.obj, mesh.ply, keyframes.json, run.json)",
+                "{} (report.html,{textured} ob_in_cam/,{refined} masks/, mesh.obj, mesh.ply, keyframes.json, run.json)",
                 folder.path().display()
             ),
         ),
     ] {
         text.push_str(&format!("{name:<10} {value}\n"));
+    }
+    if let Some(refined) = &products.refined {
+        text.push_str(&refine::line(refined));
     }
     for warning in &report.field.warnings {
         text.push_str(&format!("{:<10} {warning}\n", "warning"));

@@ -297,7 +297,7 @@ fn timings(report: &RunReport) -> Markup {
 }
 
 /// What the results folder may hold.
-const FILES: [(&str, &str); 18] = [
+const FILES: [(&str, &str); 19] = [
     ("ob_in_cam", "pose of every frame: 4\u{d7}4, object to camera"),
     ("ob_in_cam_refined", "the poses after the refinement over all frames"),
     ("masks", "mask that each frame was tracked with"),
@@ -316,6 +316,7 @@ const FILES: [(&str, &str); 18] = [
     ("keyframes_refined.json", "keyframes and their poses after the refinement"),
     ("run.json", "everything on this page, for programs"),
     ("eval.json", "scores against the truth"),
+    ("eval_refined.json", "scores against the truth after the refinement"),
 ];
 
 fn files(results: &Results) -> Markup {

@@ -21,13 +21,14 @@ pub fn small() -> Config {
     config.field.keyframes_per_round = 2;
     config.field.steps = 30;
     config.field.final_steps = 40;
+    config.field.refine_steps = 20;
     config.mesh.spacing = 0.005;
     config
 }
 
 /// The same as a config file.
 pub const SMALL_TOML: &str = "[memory]\nmin_swing_deg = 5.0\n[field]\nfirst_round_keyframes = 3\n\
-    keyframes_per_round = 2\nsteps = 30\nfinal_steps = 40\n[mesh]\nspacing = 0.005\n";
+    keyframes_per_round = 2\nsteps = 30\nfinal_steps = 40\nrefine_steps = 20\n[mesh]\nspacing = 0.005\n";
 
 /// The same without a field, for tests that are about something else.
 pub fn without_field() -> Config {
