@@ -10,7 +10,7 @@ use crate::config::FieldConfig;
 use crate::field::Parameters;
 use crate::grid::Grid;
 use crate::mlp::Networks;
-use crate::pass::RunTile;
+use crate::pass::{FinishTiles, RunTile};
 use crate::pose::PoseCorrections;
 use crate::query::Query;
 use crate::sampler::{Buffers, Sampler};
@@ -285,5 +285,8 @@ impl Chunk {
             scratch.clock.lap(Stage::Sample);
             set.call(RunTile { model, poses, tile: ring_tile, scratch, out, grad: weights });
         }
+        scratch.clock.start();
+        set.call(FinishTiles { model, scratch, grad: weights });
+        scratch.clock.lap(Stage::Geometry);
     }
 }

@@ -14,7 +14,8 @@ use crate::lanes::Lanes;
 use crate::real::{Isa, Kernel, Real};
 use crate::tile::{Model, PANEL, Panel, RAYS, RayPose, Scratch, Tile, TileGradient, VECTOR, loss};
 
-/// Forward and backward pass over one tile. Adds to `grad` (flat network weights), overwrites `out`.
+/// Forward and backward pass over one tile. Adds to `grad` (flat network weights), overwrites `out`. Part of the gradient
+/// stays in `scratch` until [`FinishTiles`].
 pub(crate) struct RunTile<'a, R> {
     pub(crate) model: &'a Model<'a, R>,
     pub(crate) poses: &'a [RayPose<R>],
@@ -35,7 +36,6 @@ impl<R: Real> Kernel for RunTile<'_, R> {
         out.twist = [[R::ZERO; 6]; RAYS];
         let (origin, dir) = object_rays(poses, tile);
         place(&origin, &dir, tile, &mut out.pos);
-        scratch.sums.clear();
         scratch.clock.start();
         for panel in Panel::all(lanes, tile.central) {
             encode::<R, I, true>(model, (&out.pos, lanes), panel, scratch);
@@ -62,7 +62,7 @@ impl<R: Real> Kernel for RunTile<'_, R> {
             eikonal_pass::<R, I>(model, tile, scratch, out);
             scratch.clock.lap(Stage::Eikonal);
         }
-        finish_geometry(model, tile, scratch, grad);
+        add_last_bias(model, tile, scratch, grad);
         scratch.clock.lap(Stage::Geometry);
         pose_gradient(tile, scratch, out);
         scratch.clock.lap(Stage::Pose);
@@ -282,37 +282,53 @@ impl<R: Real> Target<R> for HiddenGradient<'_, R> {
     }
 }
 
-/// Adds the sums over a tile's panels to the gradient of the geometry network.
+/// The gradients of the last geometry biases.
 #[inline(always)]
-fn finish_geometry<R: Real>(model: &Model<'_, R>, tile: &Tile<R>, s: &mut Scratch<R>, grad: &mut [R]) {
+fn add_last_bias<R: Real>(model: &Model<'_, R>, tile: &Tile<R>, s: &Scratch<R>, grad: &mut [R]) {
     let n = model.networks;
-    let [first, last] = n.geometry;
-    let (h, padded) = (first.outputs, n.padded_features());
-    finish_masked(model, &s.sums, grad);
-    for (g, pair) in grad[first.weights()].iter_mut().zip(s.sums.first.chunks_exact(2)) {
-        *g += pair[0] + pair[1];
-    }
-    for (g, sums) in grad[first.bias()].iter_mut().zip(s.sums.bias.chunks_exact(VECTOR)) {
-        *g += sum(sums);
-    }
-    let g_last = &mut grad[last.weights()];
-    for (g, sums) in g_last[..h].iter_mut().zip(s.sums.head.chunks_exact(VECTOR)) {
-        *g += sum(sums);
-    }
+    let (bias, features) = grad[n.geometry[1].bias()].split_at_mut(1);
+    bias[0] += sum(&s.d_sdf[..tile.lanes]);
     if tile.has_color {
-        for (f, row) in g_last[h..].chunks_exact_mut(h).enumerate() {
-            for (g, sums) in row.iter_mut().zip(s.sums.features.chunks_exact(padded)) {
-                *g += sums[f];
-            }
-        }
-        let bias = &mut grad[last.bias()][1..];
         for row in s.d_color_in[..n.color_stride() * tile.central].chunks_exact(n.color_stride()) {
-            for (g, d) in bias.iter_mut().zip(row) {
+            for (g, d) in features.iter_mut().zip(row) {
                 *g += *d;
             }
         }
     }
-    grad[last.bias().start] += sum(&s.d_sdf[..tile.lanes]);
+}
+
+/// Adds what is in other orders than the weights, summed up over the tiles of a scratch, to the gradient `grad` of the
+/// geometry network, and starts anew.
+pub(crate) struct FinishTiles<'a, R> {
+    pub(crate) model: &'a Model<'a, R>,
+    pub(crate) scratch: &'a mut Scratch<R>,
+    pub(crate) grad: &'a mut [R],
+}
+
+impl<R: Real> Kernel for FinishTiles<'_, R> {
+    #[inline(always)]
+    fn run<I: Isa>(self) {
+        let Self { model, scratch: Scratch { sums, .. }, grad } = self;
+        let [first, last] = model.networks.geometry;
+        let (h, padded) = (first.outputs, model.networks.padded_features());
+        finish_masked(model, sums, grad);
+        for (g, pair) in grad[first.weights()].iter_mut().zip(sums.first.chunks_exact(2)) {
+            *g += pair[0] + pair[1];
+        }
+        for (g, sums) in grad[first.bias()].iter_mut().zip(sums.bias.chunks_exact(VECTOR)) {
+            *g += sum(sums);
+        }
+        let (by_head, by_features) = grad[last.weights()].split_at_mut(h);
+        for (g, sums) in by_head.iter_mut().zip(sums.head.chunks_exact(VECTOR)) {
+            *g += sum(sums);
+        }
+        for (f, row) in by_features.chunks_exact_mut(h).enumerate() {
+            for (g, sums) in row.iter_mut().zip(sums.features.chunks_exact(padded)) {
+                *g += sums[f];
+            }
+        }
+        sums.clear();
+    }
 }
 
 /// Gradients by position, `[axis][lane]`, of a panel's encoding: its gradients `[feature][lane]` through its Jacobian. All

@@ -266,7 +266,7 @@ pub(crate) struct PanelScratch<R> {
     pub(crate) d_color_b: Aligned<R>,
 }
 
-/// Sums over a tile's panels that are not in the order of the weights.
+/// Sums over the panels of some tiles that are not in the order of the weights.
 #[derive(Clone, Debug)]
 pub(crate) struct TileSums<R> {
     /// Per hidden unit, [`VECTOR`] partial sums of the gradients of its bias and of its weight in the distance.
