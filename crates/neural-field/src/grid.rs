@@ -44,9 +44,9 @@ impl Level {
     }
 }
 
-/// Heights in the unit cube at which dense lattices are cut into parts that are updated side by side. Objects fill the
-/// middle two thirds of the cube, and most samples are near their surface; that of a sphere is alike in all four.
-const CUTS: [f64; 3] = [1.0 / 3.0, 1.0 / 2.0, 2.0 / 3.0];
+/// Where dense lattices are cut into parts that are updated side by side, as a height in the unit cube: through the middle
+/// of the object. Every part looks at all samples, so that more parts cost more than they gain on few cores.
+const CUT: f64 = 1.0 / 2.0;
 
 /// Lattices of so many vertices don't stay in a core's own cache.
 const FAR: usize = 1 << 15;
@@ -58,12 +58,9 @@ impl Level {
     /// Parts of the vertices, in groups of [`GROUP`]. Fixed, so that sums don't depend on the number of threads.
     pub(crate) fn parts(&self) -> impl Iterator<Item = Range<usize>> + use<> {
         let (n, len) = (self.vertices as usize, self.len);
-        let cuts = if self.hash_mask.is_some() || len < LEAST_CUT { &[] } else { &CUTS[..] };
-        let mut from = 0;
-        cuts.iter()
-            .map(move |c| ((c * n as f64) as usize * n * n).next_multiple_of(GROUP))
-            .chain([len])
-            .map(move |to| std::mem::replace(&mut from, to)..to)
+        let whole = self.hash_mask.is_some() || len < LEAST_CUT;
+        let cut = if whole { len } else { ((CUT * n as f64) as usize * n * n).next_multiple_of(GROUP) };
+        [0..cut, cut..len].into_iter().take(if whole { 1 } else { 2 })
     }
 }
 

@@ -36,7 +36,6 @@ impl<R: Real> Kernel for RunTile<'_, R> {
         out.twist = [[R::ZERO; 6]; RAYS];
         let (origin, dir) = object_rays(poses, tile);
         place(&origin, &dir, tile, &mut out.pos);
-        scratch.clock.start();
         for panel in Panel::all(lanes, tile.central) {
             encode::<R, I, true>(model, (&out.pos, lanes), panel, scratch);
         }
