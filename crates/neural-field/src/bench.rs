@@ -1,14 +1,15 @@
 //! Where the time of a training step goes, and what the machine could do at best (feature `bench`).
 
 use crate::adam::{Rate, Update};
-use crate::clock::thread_seconds;
+use crate::clock::{Stage, thread_seconds};
 use crate::config::FieldConfig;
 use crate::engine::CpuEngine;
 use crate::error::FieldError;
 use crate::frame::FieldImages;
+use crate::free::active_units;
 use crate::grid::FEATURES;
 use crate::lanes::Lanes;
-use crate::pass::{RunTile, encode, hidden_layer};
+use crate::pass::{RunTile, encode};
 use crate::pose::PoseCorrections;
 use crate::real::{self, Isa};
 use crate::round::Round;
@@ -61,7 +62,7 @@ pub fn profile_steps(
     for step in 0..WARM_UP {
         engine.step(&sampler, &mut corrections, step, rates);
     }
-    let before = engine.seconds();
+    let (before, lanes_before) = (engine.seconds(), engine.lanes());
     let start = Instant::now();
     for step in WARM_UP..WARM_UP + steps {
         engine.step(&sampler, &mut corrections, step, rates);
@@ -69,14 +70,16 @@ pub fn profile_steps(
     let seconds = start.elapsed().as_secs_f64();
     let after = engine.seconds();
     let work = Work::of(config, &sampler, &engine);
-    let names = ["sampling", "encode", "geometry", "colour", "backward", "eikonal", "scatter", "adam"];
+    let pulled = (engine.lanes()[Stage::Geometry as usize] - lanes_before[Stage::Geometry as usize]) as f64;
+    let names = ["sampling", "encode", "geometry", "colour", "eikonal", "poses", "scatter", "adam"];
     let kernels = names
         .iter()
         .enumerate()
         .map(|(k, name)| Kernel {
             name,
             seconds: after[k] - before[k],
-            flops: work.flops[k] * steps as f64,
+            flops: work.flops[k] * steps as f64
+                + if k == Stage::Geometry as usize { pulled * work.pulled } else { 0.0 },
             bytes: work.bytes[k] * steps as f64,
         })
         .collect();
@@ -96,6 +99,8 @@ fn prepare(
 /// Work of one step by kernel, from the shapes alone.
 struct Work {
     samples: usize,
+    /// Operations of the geometry network's gradients on a free lane, on which they depend on the data.
+    pulled: f64,
     flops: [f64; 8],
     bytes: [f64; 8],
 }
@@ -117,13 +122,14 @@ impl Work {
         let corners = (8 * FEATURES * size_of::<f32>() * config.levels) as f64 * all;
         Self {
             samples,
+            pulled: 4.0 * e * h + 2.0 * h,
             flops: [
                 0.0,
                 0.0,
-                all * 2.0 * (e * h + h),
+                all * 2.0 * (e * h + h) + central * 4.0 * (e * h + h + f * h),
                 central * (2.0 * f * h + 6.0 * layers),
-                all * 4.0 * (e * h + h) + central * 4.0 * f * h,
                 eikonal * 4.0 * e * h,
+                0.0,
                 0.0,
                 0.0,
             ],
@@ -216,7 +222,7 @@ impl real::Kernel for Forward<'_> {
         for panel in Panel::all(self.lanes, self.central) {
             match self.pos {
                 Some(pos) => encode::<f32, I, true>(self.model, (pos, self.lanes), panel, self.scratch),
-                None => hidden_layer::<f32, I>(self.model, panel, self.scratch),
+                None => active_units::<f32, I>(self.model, panel, self.scratch),
             }
         }
     }

@@ -7,8 +7,9 @@ pub(crate) enum Stage {
     Encode,
     Geometry,
     Color,
-    Backward,
     Eikonal,
+    /// Poses' gradients.
+    Pose,
     Scatter,
     Adam,
 }
@@ -24,6 +25,9 @@ pub(crate) struct Clock {
     last: Option<f64>,
     #[cfg(feature = "bench")]
     seconds: [f64; STAGES],
+    /// Lanes of which the work depends on the data.
+    #[cfg(feature = "bench")]
+    lanes: [usize; STAGES],
 }
 
 #[cfg(feature = "bench")]
@@ -40,8 +44,18 @@ impl Clock {
         }
     }
 
+    /// A stage did what it does not do for all lanes.
+    #[inline(always)]
+    pub(crate) fn count(&mut self, stage: Stage, lanes: usize) {
+        self.lanes[stage as usize] += lanes;
+    }
+
     pub(crate) fn seconds(&self) -> [f64; STAGES] {
         self.seconds
+    }
+
+    pub(crate) fn lanes(&self) -> [usize; STAGES] {
+        self.lanes
     }
 }
 
@@ -67,4 +81,7 @@ impl Clock {
 
     #[inline(always)]
     pub(crate) fn lap(&mut self, _: Stage) {}
+
+    #[inline(always)]
+    pub(crate) fn count(&mut self, _: Stage, _: usize) {}
 }

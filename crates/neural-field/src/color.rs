@@ -79,7 +79,7 @@ pub(crate) fn color_features<R: Real, I: Isa>(
     let (last, padded, stride) = (n.geometry[1], n.padded_features(), n.color_stride());
     product::<R, I>(
         (panel.width, padded, last.inputs),
-        Columns(&s.hidden[panel.of(last.inputs)], PANEL),
+        Columns(&s.hidden[panel.among_central(from, last.inputs)], PANEL),
         (&model.flipped[n.flipped().0.features], padded),
         &mut Layer::<R, false> {
             // What follows the biases in the flat weights goes to the padding.

@@ -1,39 +1,36 @@
 //! The eikonal term on a tile's central lanes, with exact second derivatives.
 
-use crate::gemm::{Add, Columns, Rows, Store, product, to_rows};
+use crate::gemm::{Add, Columns, Pairs, Store, product, sum, to_pairs};
 use crate::grid::FEATURES;
 use crate::lanes::Lanes;
 use crate::pass::through_jacobian;
 use crate::real::{Isa, Real};
-use crate::tile::{Model, PANEL, Panel, Scratch, Tile, TileGradient, VECTOR, loss};
+use crate::tile::{Model, PANEL, Panel, Scratch, Tile, TileGradient, TileSums, VECTOR, loss};
 
 /// `w (|grad s| - 1)^2` on the central lanes, with its exact gradient.
 ///
 /// The slope of the distance is `g_i = sum_f v_f de_f/dp_i` with `v = W1^T (m w2)`, m the active units. With
 /// `gamma = dL/dg`, the gradient by `v` is the derivative `q` of the encoding along `gamma`, that by `de_f/dp_i` is
-/// `v_f gamma_i`. What both layers' gradients need of all samples is `Q = sum m q^T`; see [`finish`].
+/// `v_f gamma_i`. What both layers' gradients need of all samples is `Q = sum m q^T`; see [`finish_masked`].
 #[inline(always)]
 pub(crate) fn eikonal_pass<R: Real, I: Isa>(
     model: &Model<'_, R>,
     tile: &Tile<R>,
     s: &mut Scratch<R>,
     out: &mut TileGradient<R>,
-    grad: &mut [R],
 ) {
     let (n, from) = (model.networks, tile.lanes - tile.central);
     let (h, e) = (n.hidden(), n.encoding());
-    slope_weights(model, &mut s.slope_weights);
     for panel in Panel::central(tile.lanes, tile.central) {
-        slope_factors::<R, I>(model, panel, s, (&mut out.v[panel.start - from..], tile.central));
+        slope_factors::<R, I>(model, panel, from, s, (&mut out.v[panel.start - from..], tile.central));
         along_slope::<R, I>(model, tile, panel, s, out);
         product::<R, I>(
-            (h, e, panel.width),
-            Rows::<R, PANEL>(&s.panel.active),
-            (&s.panel.rows, e),
-            &mut Add { c: &mut s.sums.eikonal, ld: e },
+            (h, 2 * e, panel.width / 2),
+            Pairs::<R, PANEL>(&s.panel.active),
+            (&s.panel.rows, 2 * e),
+            &mut Add { c: &mut s.sums.masked, ld: 2 * e },
         );
     }
-    finish(model, &s.sums.eikonal, grad);
     eikonal_position::<R, I>(model, tile, s, out);
 }
 
@@ -55,11 +52,12 @@ pub(crate) fn slope_weights<R: Real>(model: &Model<'_, R>, to: &mut [R]) {
 pub(crate) fn slope_factors<R: Real, I: Isa>(
     model: &Model<'_, R>,
     panel: Panel,
+    from: usize,
     s: &mut Scratch<R>,
     (v, stride): (&mut [R], usize),
 ) {
     let (h, e) = (model.networks.hidden(), model.networks.encoding());
-    for (m, y) in s.panel.active.iter_mut().zip(&s.hidden[panel.of(h)]) {
+    for (m, y) in s.panel.active.iter_mut().zip(&s.hidden[panel.among_central(from, h)]) {
         *m = y.gate(R::ONE);
     }
     product::<R, I>(
@@ -114,21 +112,29 @@ fn along_slope<R: Real, I: Isa>(
     out.losses[loss::EIKONAL] += total.total();
     // What is beside the features must be zero.
     s.panel.columns[features * PANEL..].fill(R::ZERO);
-    to_rows::<R, I>((&s.panel.columns, PANEL), (e, width), (&mut s.panel.rows, e));
+    to_pairs::<R, I>((&s.panel.columns, PANEL), (e, width), &mut s.panel.rows);
 }
 
-/// Weight gradients from `Q[unit][encoding]`: `w2 Q` row by row for W1, for w2 the products of the rows of W1 and Q.
+/// Weight gradients from `Q[unit][encoding]`: `w2 Q` row by row for W1, for w2 the products of the rows of W1 and Q; with
+/// the bias as one more weight.
 #[inline(always)]
-fn finish<R: Real>(model: &Model<'_, R>, sums: &[R], grad: &mut [R]) {
+pub(crate) fn finish_masked<R: Real>(model: &Model<'_, R>, sums: &TileSums<R>, grad: &mut [R]) {
     let [first, last] = model.networks.geometry;
     let e = first.inputs;
-    let (w1, w2) = (&model.weights[first.weights()], &model.weights[last.weights()]);
-    for (j, q) in sums.chunks_exact(e).enumerate() {
-        let row = e * j..e * (j + 1);
-        for (g, q) in grad[first.weights()][row.clone()].iter_mut().zip(q) {
-            *g += w2[j] * *q;
+    let (w1, b1) = (&model.weights[first.weights()], &model.weights[first.bias()]);
+    let w2 = &model.weights[last.weights()];
+    let bias_sums = sums.masked_bias.chunks_exact(VECTOR);
+    for (j, (q, bias)) in sums.masked.chunks_exact(2 * e).zip(bias_sums).enumerate() {
+        let (row, bias) = (e * j..e * (j + 1), sum(bias));
+        let mut by_w2 = b1[j] * bias;
+        for ((g, w), q) in grad[first.weights()][row.clone()].iter_mut().zip(&w1[row]).zip(q.chunks_exact(2))
+        {
+            let q = q[0] + q[1];
+            *g += w2[j] * q;
+            by_w2 += *w * q;
         }
-        grad[last.weights()][j] += w1[row].iter().zip(q).fold(R::ZERO, |sum, (w, q)| sum + *w * *q);
+        grad[first.bias()][j] += w2[j] * bias;
+        grad[last.weights()][j] += by_w2;
     }
 }
 

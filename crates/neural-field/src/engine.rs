@@ -10,7 +10,7 @@ use crate::config::FieldConfig;
 use crate::field::Parameters;
 use crate::grid::Grid;
 use crate::mlp::Networks;
-use crate::pass::RunTile;
+use crate::pass::{FinishTiles, RunTile};
 use crate::pose::PoseCorrections;
 use crate::query::Query;
 use crate::sampler::{Buffers, Sampler};
@@ -238,9 +238,21 @@ impl CpuEngine {
 
 #[cfg(feature = "bench")]
 impl CpuEngine {
+    fn clocks(&self) -> impl Iterator<Item = &crate::clock::Clock> {
+        self.chunks.iter().map(|c| &c.scratch.clock).chain(self.parts.iter().map(|p| &p.clock))
+    }
+
+    /// Lanes that stages counted, so far.
+    pub(crate) fn lanes(&self) -> [usize; crate::clock::STAGES] {
+        self.clocks().fold(Default::default(), |sum: [usize; crate::clock::STAGES], clock| {
+            let lanes = clock.lanes();
+            std::array::from_fn(|s| sum[s] + lanes[s])
+        })
+    }
+
     /// Seconds of all workers by stage, so far.
     pub(crate) fn seconds(&self) -> [f64; crate::clock::STAGES] {
-        let clocks = self.chunks.iter().map(|c| &c.scratch.clock).chain(self.parts.iter().map(|p| &p.clock));
+        let clocks = self.clocks();
         clocks.fold(Default::default(), |sum: [f64; crate::clock::STAGES], clock| {
             let seconds = clock.seconds();
             std::array::from_fn(|s| sum[s] + seconds[s])
@@ -273,5 +285,8 @@ impl Chunk {
             scratch.clock.lap(Stage::Sample);
             set.call(RunTile { model, poses, tile: ring_tile, scratch, out, grad: weights });
         }
+        scratch.clock.start();
+        set.call(FinishTiles { model, scratch, grad: weights });
+        scratch.clock.lap(Stage::Geometry);
     }
 }

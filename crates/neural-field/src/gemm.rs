@@ -3,9 +3,12 @@
 //! Sums stay in registers, a block of rows and columns at a time. What they start from and where they go is a
 //! [`Target`]: bias, ReLU and mask cost no pass of their own over memory.
 
+mod simd;
+
 use crate::lanes::Lanes;
 use crate::real::{Isa, Kernel, Real};
 use crate::tile::VECTOR;
+use simd::Steps;
 
 /// What a product's sums start from, and what becomes of them. `at` is the row and column of the first number.
 pub(crate) trait Target<R> {
@@ -41,13 +44,10 @@ impl<R: Real> Left<R> for Columns<'_, R> {
         sums: &mut [[V; N]; M],
     ) {
         let Self(a, stride) = self;
-        // Known before the loop, so that it needs no checks.
-        assert!(i + M <= stride && j + N * V::N <= ldb);
-        for (column, row) in a.chunks_exact(stride).zip(b.chunks_exact(ldb)).take(k) {
-            let column = &column[i..i + M];
-            let row: [V; N] = load_row(row, j);
+        for (column, row) in Steps::new(k, (a, i, stride, M), (b, j, ldb, N * V::N)) {
+            let row: [V; N] = load_row(row, 0);
             for r in 0..M {
-                add_product(column[r], &row, &mut sums[r]);
+                add_product(V::splat(column[r]), &row, &mut sums[r]);
             }
         }
     }
@@ -85,15 +85,36 @@ impl<R: Real> Left<R> for AnyRows<'_, R> {
         sums: &mut [[V; N]; M],
     ) {
         let Self(a, stride) = self;
-        let mut rows = [a; M];
-        for (r, row) in rows.iter_mut().enumerate() {
-            *row = &a[(i + r) * stride..][..k];
-        }
-        assert!(j + N * V::N <= ldb);
-        for (l, row) in b.chunks_exact(ldb).take(k).enumerate() {
-            let row: [V; N] = load_row(row, j);
+        let reach = (M - 1) * stride + 1;
+        for (column, row) in Steps::new(k, (a, i * stride, 1, reach), (b, j, ldb, N * V::N)) {
+            let row: [V; N] = load_row(row, 0);
             for r in 0..M {
-                add_product(rows[r][l], &row, &mut sums[r]);
+                add_product(V::splat(column[r * stride]), &row, &mut sums[r]);
+            }
+        }
+    }
+}
+
+/// A matrix that is in memory row by row, `row * STRIDE + column`, two columns at a time against the right factor's rows of
+/// pairs (see [`to_pairs`]): narrow right factors fill a vector that way. Every sum comes in two parts.
+#[derive(Clone, Copy)]
+pub(crate) struct Pairs<'a, R, const STRIDE: usize>(pub(crate) &'a [R]);
+
+impl<R: Real, const STRIDE: usize> Left<R> for Pairs<'_, R, STRIDE> {
+    #[inline(always)]
+    fn accumulate<V: Lanes<R>, const M: usize, const N: usize>(
+        self,
+        (i, j): (usize, usize),
+        k: usize,
+        (b, ldb): (&[R], usize),
+        sums: &mut [[V; N]; M],
+    ) {
+        let reach = (M - 1) * STRIDE + 2;
+        for (columns, row) in Steps::new(k, (self.0, i * STRIDE, 2, reach), (b, j, ldb, N * V::N)) {
+            let row: [V; N] = load_row(row, 0);
+            for r in 0..M {
+                let pair = [columns[r * STRIDE], columns[r * STRIDE + 1]];
+                add_product(V::splat_pair(&pair), &row, &mut sums[r]);
             }
         }
     }
@@ -101,8 +122,7 @@ impl<R: Real> Left<R> for AnyRows<'_, R> {
 
 /// `sums += a * row`.
 #[inline(always)]
-fn add_product<R: Real, V: Lanes<R>, const N: usize>(a: R, row: &[V; N], sums: &mut [V; N]) {
-    let a = V::splat(a);
+fn add_product<R: Real, V: Lanes<R>, const N: usize>(a: V, row: &[V; N], sums: &mut [V; N]) {
     for v in 0..N {
         sums[v] = a.madd(row[v], sums[v]);
     }
@@ -145,46 +165,56 @@ struct Product<'a, R, A, D> {
 impl<R: Real, A: Left<R>, D: Target<R>> Kernel for Product<'_, R, A, D> {
     #[inline(always)]
     fn run<I: Isa>(self) {
+        type Eight<R, I> = <<R as Real>::V<I> as Lanes<R>>::Eight;
         let Self { shape: (m, n, k), a, b, target } = self;
-        let mut i = 0;
-        while i < m {
-            let at = (i, n, k);
-            i += match m - i {
-                rest if I::BLOCK.0 == 8 && rest >= 8 => strip::<R, I, 8>(at, a, b, target),
-                rest if I::BLOCK.0 == 6 && rest >= 6 => strip::<R, I, 6>(at, a, b, target),
-                rest if I::BLOCK.0 != 8 && rest >= 4 => strip::<R, I, 4>(at, a, b, target),
-                rest if rest >= 2 => strip::<R, I, 2>(at, a, b, target),
-                _ => strip::<R, I, 1>(at, a, b, target),
+        let width = <R::V<I>>::N;
+        let mut j = 0;
+        while j < n {
+            let (at, vectors) = ((m, j, k), (n - j) / width);
+            j += if I::BLOCK.1 >= 4 && vectors >= 4 {
+                columns::<R, I, R::V<I>, 4>(at, a, b, target)
+            } else if I::BLOCK.1 >= 2 && vectors >= 2 {
+                columns::<R, I, R::V<I>, 2>(at, a, b, target)
+            } else if width == 8 || vectors >= 1 {
+                columns::<R, I, R::V<I>, 1>(at, a, b, target)
+            } else {
+                columns::<R, I, Eight<R, I>, 1>(at, a, b, target)
             };
         }
     }
 }
 
-/// `M` rows of the product, from row `i`; returns their number.
+/// `N` vectors of columns of the product, from column `j`; returns their number.
 #[inline(always)]
-fn strip<R: Real, I: Isa, const M: usize>(
-    (i, n, k): (usize, usize, usize),
+fn columns<R: Real, I: Isa, V: Lanes<R>, const N: usize>(
+    (m, j, k): (usize, usize, usize),
     a: impl Left<R>,
     b: (&[R], usize),
     target: &mut impl Target<R>,
 ) -> usize {
-    type Eight<R, I> = <<R as Real>::V<I> as Lanes<R>>::Eight;
-    let width = <R::V<I>>::N;
-    let mut j = 0;
-    while j < n {
-        let rest = n - j;
-        j += if I::BLOCK.1 == 2 && rest >= 2 * width {
-            block::<R, R::V<I>, M, 2>((i, j), k, a, b, target)
-        } else if width == 8 || rest >= width {
-            block::<R, R::V<I>, M, 1>((i, j), k, a, b, target)
-        } else {
-            block::<R, Eight<R, I>, M, 1>((i, j), k, a, b, target)
+    let rows = I::BLOCK.0 / N;
+    let mut i = 0;
+    while i < m {
+        let at = (i, j);
+        // A block of few rows waits for its sums: rather two of 8 than 12 and 4, two of 4 than 6 and 2.
+        i += match m - i {
+            rest if rows >= 16 && rest >= 16 => block::<R, V, 16, N>(at, k, a, b, target),
+            rest if (12..16).contains(&rows) && rest >= 12 && rest != 16 => {
+                block::<R, V, 12, N>(at, k, a, b, target)
+            }
+            rest if rows >= 8 && rest >= 8 => block::<R, V, 8, N>(at, k, a, b, target),
+            rest if (6..8).contains(&rows) && rest >= 6 && rest != 8 => {
+                block::<R, V, 6, N>(at, k, a, b, target)
+            }
+            rest if rest >= 4 => block::<R, V, 4, N>(at, k, a, b, target),
+            rest if rest >= 2 => block::<R, V, 2, N>(at, k, a, b, target),
+            _ => block::<R, V, 1, N>(at, k, a, b, target),
         };
     }
-    M
+    N * V::N
 }
 
-/// One block of sums, `M` rows of `N` vectors; returns the number of its columns.
+/// One block of sums, `M` rows of `N` vectors; returns `M`.
 #[inline(always)]
 fn block<R: Real, V: Lanes<R>, const M: usize, const N: usize>(
     (i, j): (usize, usize),
@@ -199,7 +229,7 @@ fn block<R: Real, V: Lanes<R>, const M: usize, const N: usize>(
     }
     a.accumulate((i, j), k, b, &mut sums);
     target.finish((i, j), &sums);
-    N * V::N
+    M
 }
 
 /// `N` vectors from `from`.
@@ -309,27 +339,26 @@ pub(crate) fn transpose<R: Real>(
     }
 }
 
-/// From feature-major to lane-major, for whole vectors of lanes and quads of features, with row strides.
+/// From feature-major to rows of two lanes' features, `(lane / 2) * 2 * features + 2 * feature + lane % 2`, for whole vectors
+/// of lanes and pairs of features.
 #[inline(always)]
-pub(crate) fn to_rows<R: Real, I: Isa>(
+pub(crate) fn to_pairs<R: Real, I: Isa>(
     (x, ldx): (&[R], usize),
     (features, lanes): (usize, usize),
-    (out, ldo): (&mut [R], usize),
+    out: &mut [R],
 ) {
     for lane in (0..lanes).step_by(<R::V<I>>::N) {
-        for f in (0..features).step_by(4) {
-            let mut quads = [<R::V<I>>::splat(R::ZERO); 4];
-            for (r, quad) in quads.iter_mut().enumerate() {
-                *quad = <R::V<I>>::load(x, (f + r) * ldx + lane);
-            }
-            for (place, quad) in Lanes::transpose_quads(quads).into_iter().enumerate() {
-                quad.store_quads(&mut out[lane * ldo + f..], place, ldo);
-            }
+        for f in (0..features).step_by(2) {
+            let a = <R::V<I>>::load(x, f * ldx + lane);
+            let b = <R::V<I>>::load(x, (f + 1) * ldx + lane);
+            let out = &mut out[lane * features + 2 * f..];
+            a.low_pairs(b).store_quads(out, 0, features);
+            a.high_pairs(b).store_quads(out, 2, features);
         }
     }
 }
 
-/// From lane-major to feature-major, as [`to_rows`].
+/// From lane-major to feature-major, for whole vectors of lanes and quads of features, with row strides.
 #[inline(always)]
 pub(crate) fn to_columns<R: Real, I: Isa>(
     (x, ldx): (&[R], usize),
@@ -364,7 +393,7 @@ mod tests {
 
     impl Isa for Tall {
         type F32 = Plain<f32, 8>;
-        const BLOCK: (usize, usize) = (6, 2);
+        const BLOCK: (usize, usize) = (12, 2);
 
         fn call<K: Kernel>(kernel: K) {
             kernel.run::<Self>();
@@ -375,7 +404,7 @@ mod tests {
 
     impl Isa for Wide {
         type F32 = Plain<f32, 8>;
-        const BLOCK: (usize, usize) = (8, 2);
+        const BLOCK: (usize, usize) = (24, 4);
 
         fn call<K: Kernel>(kernel: K) {
             kernel.run::<Self>();
@@ -413,12 +442,34 @@ mod tests {
 
     #[test]
     fn lanes_and_features_change_places() {
-        let x: Vec<f64> = (0..8 * 32).map(f64::from).collect();
-        let (mut rows, mut back) = (vec![0.0; 32 * 9], vec![0.0; 8 * 32]);
-        to_rows::<f64, Baseline>((&x, 32), (8, 32), (&mut rows, 9));
-        assert_eq!(rows[9 * 21 + 5], x[5 * 32 + 21]);
-        to_columns::<f64, Baseline>((&rows, 9), (8, 32), (&mut back, 32));
-        assert_eq!(back, x);
+        let x: Vec<f64> = (0..32 * 9).map(f64::from).collect();
+        let mut columns = vec![0.0; 8 * 40];
+        to_columns::<f64, Baseline>((&x, 9), (8, 32), (&mut columns, 40));
+        assert!((0..8).all(|f| (0..32).all(|l| columns[f * 40 + l] == x[l * 9 + f])));
+        let mut pairs = vec![0.0; 8 * 32];
+        to_pairs::<f64, Baseline>((&columns, 40), (8, 32), &mut pairs);
+        assert!((0..8).all(|f| (0..32).all(|l| pairs[l / 2 * 16 + 2 * f + l % 2] == x[l * 9 + f])));
+    }
+
+    #[test]
+    fn products_of_pairs_sum_up_to_the_product() {
+        check_pairs::<Baseline>();
+        check_pairs::<Wide>();
+    }
+
+    /// `A[13][32] * B[32][8]`, A with rows of 40.
+    fn check_pairs<I: Isa>() {
+        let a: Vec<f64> = (0..13 * 40).map(|i| f64::from((i * 7 + 3) % 11)).collect();
+        let b: Vec<f64> = (0..8 * 32).map(|i| f64::from((i * 5 + 1) % 13)).collect();
+        let (mut pairs, mut c) = (vec![0.0; 8 * 32], vec![1.0; 13 * 16]);
+        to_pairs::<f64, I>((&b, 32), (8, 32), &mut pairs);
+        product::<f64, I>((13, 16, 16), Pairs::<f64, 40>(&a), (&pairs, 16), &mut Add { c: &mut c, ld: 16 });
+        for (i, row) in c.chunks_exact(16).enumerate() {
+            for (j, sums) in row.chunks_exact(2).enumerate() {
+                let expect: f64 = (0..32).map(|l| a[i * 40 + l] * b[j * 32 + l]).sum();
+                assert_eq!(sums[0] + sums[1], 2.0 + expect);
+            }
+        }
     }
 
     #[test]

@@ -2,7 +2,7 @@
 
 use crate::grid::{FEATURES, GROUP, Grid, mix};
 use crate::mlp::Networks;
-use crate::pass::RunTile;
+use crate::pass::{FinishTiles, RunTile};
 use crate::pose::PoseCorrections;
 use crate::real::{Baseline, Isa};
 use crate::scatter::{Scatter, Vertices};
@@ -117,6 +117,7 @@ impl Problem {
             let mut out = TileGradient::new(tile.lanes, tile.central, &self.networks);
             let (model, poses, scratch) = (&model, &poses, &mut scratch);
             Baseline::call(RunTile { model, poses, tile, scratch, out: &mut out, grad: &mut weights });
+            Baseline::call(FinishTiles { model, scratch, grad: &mut weights });
             total += out.losses.iter().sum::<f64>();
             for (frame, twist) in out.frame.iter().zip(out.twist) {
                 for (sum, v) in twists[*frame].iter_mut().zip(twist) {
@@ -251,6 +252,7 @@ fn single(p: &Problem, set: Set) -> Gradient<f32> {
         let mut out = TileGradient::new(tile.lanes, tile.central, networks);
         let (model, poses, tile, scratch) = (&model, &poses, &tile, &mut scratch);
         set.call(RunTile { model, poses, tile, scratch, out: &mut out, grad: &mut gradient.weights });
+        set.call(FinishTiles { model, scratch, grad: &mut gradient.weights });
         gradient.loss += out.losses.iter().sum::<f32>();
         for (frame, twist) in out.frame.iter().zip(out.twist) {
             for (sum, v) in gradient.twists[*frame].iter_mut().zip(twist) {

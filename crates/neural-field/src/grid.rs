@@ -4,6 +4,7 @@
 use crate::adam::PartState;
 use crate::lanes::Lanes;
 use crate::real::{Isa, Kernel, Real};
+use crate::simd::prefetch;
 use crate::tile::{PANEL, Panel, VECTOR};
 use std::ops::Range;
 
@@ -43,9 +44,12 @@ impl Level {
     }
 }
 
-/// Heights in the unit cube at which dense lattices are cut into parts that are updated side by side. Objects fill the
-/// middle two thirds of the cube, and most samples are near their surface; that of a sphere is alike in all four.
-const CUTS: [f64; 3] = [1.0 / 3.0, 1.0 / 2.0, 2.0 / 3.0];
+/// Where dense lattices are cut into parts that are updated side by side, as a height in the unit cube: through the middle
+/// of the object. Every part looks at all samples, so that more parts cost more than they gain on few cores.
+const CUT: f64 = 1.0 / 2.0;
+
+/// Lattices of so many vertices don't stay in a core's own cache.
+const FAR: usize = 1 << 15;
 
 /// Lattices with fewer vertices stay in one part.
 const LEAST_CUT: usize = 1 << 14;
@@ -54,12 +58,9 @@ impl Level {
     /// Parts of the vertices, in groups of [`GROUP`]. Fixed, so that sums don't depend on the number of threads.
     pub(crate) fn parts(&self) -> impl Iterator<Item = Range<usize>> + use<> {
         let (n, len) = (self.vertices as usize, self.len);
-        let cuts = if self.hash_mask.is_some() || len < LEAST_CUT { &[] } else { &CUTS[..] };
-        let mut from = 0;
-        cuts.iter()
-            .map(move |c| ((c * n as f64) as usize * n * n).next_multiple_of(GROUP))
-            .chain([len])
-            .map(move |to| std::mem::replace(&mut from, to)..to)
+        let whole = self.hash_mask.is_some() || len < LEAST_CUT;
+        let cut = if whole { len } else { ((CUT * n as f64) as usize * n * n).next_multiple_of(GROUP) };
+        [0..cut, cut..len].into_iter().take(if whole { 1 } else { 2 })
     }
 }
 
@@ -116,6 +117,22 @@ impl Level {
             }
         }
         cells
+    }
+
+    /// Whether the lattice is larger than the caches that are near: what is asked for early is then worth asking.
+    #[inline(always)]
+    fn is_far(&self) -> bool {
+        self.hash_mask.is_none() && self.len >= FAR
+    }
+
+    /// Asks for the features of a dense lattice's cells.
+    #[inline(always)]
+    fn prefetch<R: Real>(&self, table: &[R], cells: &Cells<R>) {
+        for base in cells.base {
+            for stride in self.strides() {
+                prefetch(table, base as usize + FEATURES * stride);
+            }
+        }
     }
 
     /// How far a dense lattice's rows along x are from a cell's first vertex, for (y, z) = (0, 0), (1, 0), (0, 1), (1, 1).
@@ -332,6 +349,10 @@ impl<R: Real, const SLOPES: bool> Kernel for Encode<'_, R, SLOPES> {
         let Self { grid, pos: (pos, lanes), panel, enc, jac } = self;
         for (l, (level, table)) in grid.levels.iter().zip(&grid.tables).enumerate() {
             for from in (0..panel.width).step_by(VECTOR) {
+                let next = panel.start + from + VECTOR;
+                if level.is_far() && next < lanes {
+                    level.prefetch(table, &level.locate::<R, I>(pos, lanes, next));
+                }
                 let cells = level.locate::<R, I>(pos, lanes, panel.start + from);
                 for p in (0..VECTOR).step_by(<R::V<I>>::N) {
                     let (values, slopes) = level.interpolate::<R, I, SLOPES>(table, &cells, p);

@@ -15,6 +15,8 @@ pub(crate) trait Lanes<R>: Copy {
     type Eight: Lanes<R>;
 
     fn splat(x: R) -> Self;
+    /// The same two numbers over and over.
+    fn splat_pair(x: &[R; 2]) -> Self;
     fn load(x: &[R], from: usize) -> Self;
     fn store(self, x: &mut [R], from: usize);
     /// Quads that are filled each with one of the numbers from `from`.
@@ -83,6 +85,15 @@ impl<R: Real, const N: usize> Lanes<R> for Plain<R, N> {
     #[inline(always)]
     fn splat(x: R) -> Self {
         Self([x; N])
+    }
+
+    #[inline(always)]
+    fn splat_pair(x: &[R; 2]) -> Self {
+        let mut v = [R::ZERO; N];
+        for l in 0..N {
+            v[l] = x[l % 2];
+        }
+        Self(v)
     }
 
     #[inline(always)]

@@ -64,6 +64,7 @@ mod engine;
 mod error;
 mod field;
 mod frame;
+mod free;
 mod gemm;
 #[cfg(any(test, feature = "gpu"))]
 mod gpu;

@@ -4,16 +4,18 @@
 
 use crate::clock::Stage;
 use crate::color::color_pass;
-use crate::eikonal::eikonal_pass;
+use crate::eikonal::{eikonal_pass, finish_masked, slope_weights};
+use crate::free::{add_products, add_rows, free_panel};
 use crate::gemm::{
-    Add, Columns, Rows, Store, Target, load, load_row, product, store_row, sum, to_columns, to_rows,
+    Add, Columns, Pairs, Rows, Store, Target, load, load_row, product, store_row, sum, to_columns, to_pairs,
 };
 use crate::grid::Encode;
 use crate::lanes::Lanes;
 use crate::real::{Isa, Kernel, Real};
-use crate::tile::{Model, PANEL, Panel, RAYS, RayPose, Scratch, Tile, TileGradient, loss};
+use crate::tile::{Model, PANEL, Panel, RAYS, RayPose, Scratch, Tile, TileGradient, VECTOR, loss};
 
-/// Forward and backward pass over one tile. Adds to `grad` (flat network weights), overwrites `out`.
+/// Forward and backward pass over one tile. Adds to `grad` (flat network weights), overwrites `out`. Part of the gradient
+/// stays in `scratch` until [`FinishTiles`].
 pub(crate) struct RunTile<'a, R> {
     pub(crate) model: &'a Model<'a, R>,
     pub(crate) poses: &'a [RayPose<R>],
@@ -34,32 +36,35 @@ impl<R: Real> Kernel for RunTile<'_, R> {
         out.twist = [[R::ZERO; 6]; RAYS];
         let (origin, dir) = object_rays(poses, tile);
         place(&origin, &dir, tile, &mut out.pos);
-        scratch.sums.clear();
-        scratch.clock.start();
         for panel in Panel::all(lanes, tile.central) {
             encode::<R, I, true>(model, (&out.pos, lanes), panel, scratch);
         }
         scratch.clock.lap(Stage::Encode);
-        for panel in Panel::all(lanes, tile.central) {
-            hidden_layer::<R, I>(model, panel, scratch);
+        slope_weights(model, &mut scratch.slope_weights);
+        for panel in Panel::free(lanes, tile.central) {
+            free_panel::<R, I>(model, tile, panel, scratch, out);
         }
-        sdf_losses(tile, scratch, &mut out.losses);
+        for panel in Panel::central(lanes, tile.central) {
+            hidden_layer::<R, I>(model, panel, lanes - tile.central, scratch);
+            sdf_losses::<R, I>(tile, panel, scratch, &mut out.losses);
+        }
         scratch.clock.lap(Stage::Geometry);
         if tile.has_color {
             color_pass::<R, I>(model, tile, &dir, scratch, out, grad);
             scratch.clock.lap(Stage::Color);
         }
-        for panel in Panel::all(lanes, tile.central) {
-            geometry_backward::<R, I>(model, tile, panel, scratch, out, grad);
+        for panel in Panel::central(lanes, tile.central) {
+            geometry_backward::<R, I>(model, tile, panel, scratch, out);
         }
-        finish_geometry(model, tile, scratch, grad);
         if tile.has_eikonal {
-            scratch.clock.lap(Stage::Backward);
-            eikonal_pass::<R, I>(model, tile, scratch, out, grad);
+            scratch.clock.lap(Stage::Geometry);
+            eikonal_pass::<R, I>(model, tile, scratch, out);
             scratch.clock.lap(Stage::Eikonal);
         }
+        add_last_bias(model, tile, scratch, grad);
+        scratch.clock.lap(Stage::Geometry);
         pose_gradient(tile, scratch, out);
-        scratch.clock.lap(Stage::Backward);
+        scratch.clock.lap(Stage::Pose);
     }
 }
 
@@ -101,9 +106,14 @@ pub(crate) fn encode<R: Real, I: Isa, const SLOPES: bool>(
     I::call(Encode::<R, SLOPES> { grid: model.grid, pos, panel, enc, jac });
 }
 
-/// From a panel's encoding to its hidden layer and distances.
+/// From a panel's encoding to its hidden layer and distances; `from` is the first of the central lanes.
 #[inline(always)]
-pub(crate) fn hidden_layer<R: Real, I: Isa>(model: &Model<'_, R>, panel: Panel, s: &mut Scratch<R>) {
+pub(crate) fn hidden_layer<R: Real, I: Isa>(
+    model: &Model<'_, R>,
+    panel: Panel,
+    from: usize,
+    s: &mut Scratch<R>,
+) {
     let n = model.networks;
     let ([first, last], (flipped, _)) = (n.geometry, n.flipped());
     let (e, h, width) = (first.inputs, first.outputs, panel.width);
@@ -116,7 +126,7 @@ pub(crate) fn hidden_layer<R: Real, I: Isa>(model: &Model<'_, R>, panel: Panel, 
         &mut Hidden {
             bias: &model.weights[first.bias()],
             head: &model.weights[last.weights()][..h],
-            hidden: &mut s.hidden[panel.of(h)],
+            hidden: &mut s.hidden[panel.among_central(from, h)],
             sdf,
         },
     );
@@ -151,26 +161,38 @@ impl<R: Real> Target<R> for Hidden<'_, R> {
     }
 }
 
-/// Losses on the signed distance in truncation units: one-sided free space, L2 at the surface.
+/// Losses of a panel on the signed distance in truncation units: one-sided free space, L2 at the surface. Says whether any
+/// sample has a gradient.
 #[inline(always)]
-fn sdf_losses<R: Real>(tile: &Tile<R>, s: &mut Scratch<R>, losses: &mut [R; loss::COUNT]) {
-    let two = R::of(2.0);
-    let mut sums = [R::ZERO; 3];
-    for l in 0..tile.lanes {
-        let sdf = s.sdf[l];
-        let surface = sdf - tile.target[l];
-        let below = (-surface).positive();
-        sums[loss::UNCERTAIN] += tile.w_uncertain[l] * below * below;
-        sums[loss::EMPTY] += tile.w_empty[l] * below;
-        sums[loss::SURFACE] += tile.w_surface[l] * surface * surface;
-        let step = if below > R::ZERO { tile.w_empty[l] } else { R::ZERO };
-        s.d_sdf[l] = two * (tile.w_surface[l] * surface - tile.w_uncertain[l] * below) - step;
+pub(crate) fn sdf_losses<R: Real, I: Isa>(
+    tile: &Tile<R>,
+    panel: Panel,
+    s: &mut Scratch<R>,
+    losses: &mut [R; loss::COUNT],
+) -> bool {
+    let (zero, two) = (<R::V<I>>::splat(R::ZERO), <R::V<I>>::splat(R::of(2.0)));
+    let (mut sums, mut any) = ([zero; 3], 0);
+    for l in panel.lanes(0, 1).step_by(<R::V<I>>::N) {
+        let w_surface = <R::V<I>>::load(&tile.w_surface, l);
+        let w_empty = <R::V<I>>::load(&tile.w_empty, l);
+        let w_uncertain = <R::V<I>>::load(&tile.w_uncertain, l);
+        let surface = <R::V<I>>::load(&s.sdf, l).sub(<R::V<I>>::load(&tile.target, l));
+        let below = zero.sub(surface).positive();
+        let (lifted, pulled) = (w_uncertain.mul(below), w_surface.mul(surface));
+        sums[loss::UNCERTAIN] = lifted.madd(below, sums[loss::UNCERTAIN]);
+        sums[loss::EMPTY] = w_empty.madd(below, sums[loss::EMPTY]);
+        sums[loss::SURFACE] = pulled.madd(surface, sums[loss::SURFACE]);
+        let d = two.mul(pulled.sub(lifted)).sub(below.gate(w_empty));
+        d.store(&mut s.d_sdf, l);
+        any |= d.less(zero) | zero.less(d);
     }
-    losses[..3].copy_from_slice(&sums);
+    for (loss, sum) in losses.iter_mut().zip(sums) {
+        *loss += sum.total();
+    }
+    any != 0
 }
 
-/// Gradients of a panel's geometry network: of its weights, in `grad` and the tile's sums, of its encoding, and by
-/// position.
+/// Gradients of a central panel's geometry network: of its weights, in the tile's sums, of its encoding, and by position.
 #[inline(always)]
 fn geometry_backward<R: Real, I: Isa>(
     model: &Model<'_, R>,
@@ -178,45 +200,40 @@ fn geometry_backward<R: Real, I: Isa>(
     panel: Panel,
     s: &mut Scratch<R>,
     out: &mut TileGradient<R>,
-    grad: &mut [R],
 ) {
     let (n, width) = (model.networks, panel.width);
     let [first, last] = n.geometry;
     let (e, h) = (first.inputs, first.outputs);
-    // The features' share, on the central lanes only.
     let from = tile.lanes - tile.central;
-    let features = if tile.has_color && panel.start >= from { n.features } else { 0 };
+    let hidden = &s.hidden[panel.among_central(from, h)];
+    let features = if tile.has_color { n.features } else { 0 };
     if features > 0 {
         let stride = n.color_stride();
         let rows = &s.d_color_in[panel.lanes(from, stride)];
         to_columns::<R, I>((rows, stride), (n.padded_features(), width), (&mut s.panel.d_features, PANEL));
         product::<R, I>(
             (h, n.padded_features(), width),
-            Rows::<R, PANEL>(&s.hidden[panel.of(h)]),
+            Rows::<R, PANEL>(hidden),
             (rows, stride),
             &mut Add { c: &mut s.sums.features, ld: n.padded_features() },
         );
     }
     let w_last = &model.weights[last.weights()];
+    let d_sdf = &s.d_sdf[panel.lanes(0, 1)];
     product::<R, I>(
         (h, width, features),
         Columns(&w_last[h..], h),
         (&s.panel.d_features, PANEL),
-        &mut HiddenGradient {
-            head: &w_last[..h],
-            d_sdf: &s.d_sdf[panel.lanes(0, 1)],
-            hidden: &s.hidden[panel.of(h)],
-            d_hidden: &mut s.panel.d_hidden,
-            bias_sums: &mut s.sums.bias,
-            head_sums: &mut s.sums.head,
-        },
+        &mut HiddenGradient { head: &w_last[..h], d_sdf, hidden, d_hidden: &mut s.panel.d_hidden },
     );
-    to_rows::<R, I>((&s.enc[panel.of(e)], PANEL), (e, width), (&mut s.panel.rows, e));
+    add_rows::<R, I>(&s.panel.d_hidden, width, &mut s.sums.bias);
+    add_products::<R, I>(hidden, d_sdf, &mut s.sums.head);
+    to_pairs::<R, I>((&s.enc[panel.of(e)], PANEL), (e, width), &mut s.panel.rows);
     product::<R, I>(
-        (h, e, width),
-        Rows::<R, PANEL>(&s.panel.d_hidden),
-        (&s.panel.rows, e),
-        &mut Add { c: &mut grad[first.weights()], ld: e },
+        (h, 2 * e, width / 2),
+        Pairs::<R, PANEL>(&s.panel.d_hidden),
+        (&s.panel.rows, 2 * e),
+        &mut Add { c: &mut s.sums.first, ld: 2 * e },
     );
     product::<R, I>(
         (e, width, h),
@@ -238,8 +255,6 @@ struct HiddenGradient<'a, R> {
     d_sdf: &'a [R],
     hidden: &'a [R],
     d_hidden: &'a mut [R],
-    bias_sums: &'a mut [R],
-    head_sums: &'a mut [R],
 }
 
 impl<R: Real> Target<R> for HiddenGradient<'_, R> {
@@ -254,56 +269,65 @@ impl<R: Real> Target<R> for HiddenGradient<'_, R> {
 
     #[inline(always)]
     fn finish<V: Lanes<R>, const N: usize>(&mut self, (i, j): (usize, usize), sums: &[[V; N]]) {
-        let d_sdf: [V; N] = load_row(self.d_sdf, j);
-        for (r, sums) in sums.iter().enumerate() {
-            let at = (i + r) * PANEL + j;
-            let hidden: [V; N] = load_row(self.hidden, at);
-            let (mut d, mut bias, mut head) = (*sums, V::splat(R::ZERO), V::splat(R::ZERO));
+        let rows = i * PANEL..(i + sums.len()) * PANEL;
+        let hidden = self.hidden[rows.clone()].chunks_exact(PANEL);
+        for ((sums, hidden), d) in sums.iter().zip(hidden).zip(self.d_hidden[rows].chunks_exact_mut(PANEL)) {
+            let mut y: [V; N] = load_row(hidden, j);
             for v in 0..N {
-                d[v] = hidden[v].gate(d[v]);
-                bias = bias.add(d[v]);
-                head = hidden[v].madd(d_sdf[v], head);
+                y[v] = y[v].gate(sums[v]);
             }
-            store_row(&d, self.d_hidden, at);
-            add_eights(self.bias_sums, i + r, bias);
-            add_eights(self.head_sums, i + r, head);
+            store_row(&y, d, j);
         }
     }
 }
 
-/// Adds a vector to the `unit`-th eight partial sums.
+/// The gradients of the last geometry biases.
 #[inline(always)]
-fn add_eights<R: Real, V: Lanes<R>>(sums: &mut [R], unit: usize, v: V) {
-    V::Eight::load(sums, 8 * unit).add(v.eight()).store(sums, 8 * unit);
-}
-
-/// Adds the sums over a tile's panels to the gradient of the geometry network.
-#[inline(always)]
-fn finish_geometry<R: Real>(model: &Model<'_, R>, tile: &Tile<R>, s: &mut Scratch<R>, grad: &mut [R]) {
+fn add_last_bias<R: Real>(model: &Model<'_, R>, tile: &Tile<R>, s: &Scratch<R>, grad: &mut [R]) {
     let n = model.networks;
-    let [first, last] = n.geometry;
-    let (h, padded) = (first.outputs, n.padded_features());
-    for (g, sums) in grad[first.bias()].iter_mut().zip(s.sums.bias.chunks_exact(8)) {
-        *g += sum(sums);
-    }
-    let g_last = &mut grad[last.weights()];
-    for (g, sums) in g_last[..h].iter_mut().zip(s.sums.head.chunks_exact(8)) {
-        *g += sum(sums);
-    }
+    let (bias, features) = grad[n.geometry[1].bias()].split_at_mut(1);
+    bias[0] += sum(&s.d_sdf[..tile.lanes]);
     if tile.has_color {
-        for (f, row) in g_last[h..].chunks_exact_mut(h).enumerate() {
-            for (g, sums) in row.iter_mut().zip(s.sums.features.chunks_exact(padded)) {
-                *g += sums[f];
-            }
-        }
-        let bias = &mut grad[last.bias()][1..];
         for row in s.d_color_in[..n.color_stride() * tile.central].chunks_exact(n.color_stride()) {
-            for (g, d) in bias.iter_mut().zip(row) {
+            for (g, d) in features.iter_mut().zip(row) {
                 *g += *d;
             }
         }
     }
-    grad[last.bias().start] += sum(&s.d_sdf[..tile.lanes]);
+}
+
+/// Adds what is in other orders than the weights, summed up over the tiles of a scratch, to the gradient `grad` of the
+/// geometry network, and starts anew.
+pub(crate) struct FinishTiles<'a, R> {
+    pub(crate) model: &'a Model<'a, R>,
+    pub(crate) scratch: &'a mut Scratch<R>,
+    pub(crate) grad: &'a mut [R],
+}
+
+impl<R: Real> Kernel for FinishTiles<'_, R> {
+    #[inline(always)]
+    fn run<I: Isa>(self) {
+        let Self { model, scratch: Scratch { sums, .. }, grad } = self;
+        let [first, last] = model.networks.geometry;
+        let (h, padded) = (first.outputs, model.networks.padded_features());
+        finish_masked(model, sums, grad);
+        for (g, pair) in grad[first.weights()].iter_mut().zip(sums.first.chunks_exact(2)) {
+            *g += pair[0] + pair[1];
+        }
+        for (g, sums) in grad[first.bias()].iter_mut().zip(sums.bias.chunks_exact(VECTOR)) {
+            *g += sum(sums);
+        }
+        let (by_head, by_features) = grad[last.weights()].split_at_mut(h);
+        for (g, sums) in by_head.iter_mut().zip(sums.head.chunks_exact(VECTOR)) {
+            *g += sum(sums);
+        }
+        for (f, row) in by_features.chunks_exact_mut(h).enumerate() {
+            for (g, sums) in row.iter_mut().zip(sums.features.chunks_exact(padded)) {
+                *g += sums[f];
+            }
+        }
+        sums.clear();
+    }
 }
 
 /// Gradients by position, `[axis][lane]`, of a panel's encoding: its gradients `[feature][lane]` through its Jacobian. All

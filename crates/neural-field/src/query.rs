@@ -25,10 +25,10 @@ impl<R: Real, const SLOPES: bool> Kernel for Query<'_, R, SLOPES> {
         }
         for panel in Panel::all(lanes, lanes) {
             encode::<R, I, SLOPES>(model, (pos, lanes), panel, s);
-            hidden_layer::<R, I>(model, panel, s);
+            hidden_layer::<R, I>(model, panel, 0, s);
             if SLOPES {
                 let mut v = std::mem::replace(&mut s.panel.columns, Aligned::zeros(0));
-                slope_factors::<R, I>(model, panel, s, (&mut v, PANEL));
+                slope_factors::<R, I>(model, panel, 0, s, (&mut v, PANEL));
                 through_jacobian::<R, I>(
                     (&s.jac[panel.of(3 * e)], panel.width),
                     model.grid.width(),

@@ -8,7 +8,8 @@ use std::ops::{Add, AddAssign, Div, Mul, Neg, Sub};
 pub(crate) trait Isa: 'static {
     /// Its vectors.
     type F32: Lanes<f32>;
-    /// Rows and vectors in a row of a matrix product's register block: as many as there are registers for.
+    /// Vectors of sums in a matrix product's register block, and the most of them in one row: as many as there are registers
+    /// for.
     const BLOCK: (usize, usize);
 
     /// Runs a kernel compiled for the set, as a function of its own. Only for a set that the processor has.
@@ -26,7 +27,7 @@ pub(crate) struct Baseline;
 
 impl Isa for Baseline {
     type F32 = Plain<f32, 8>;
-    const BLOCK: (usize, usize) = if cfg!(target_arch = "aarch64") { (6, 2) } else { (4, 1) };
+    const BLOCK: (usize, usize) = if cfg!(target_arch = "aarch64") { (12, 2) } else { (4, 1) };
 
     #[inline(never)]
     fn call<K: Kernel>(kernel: K) {

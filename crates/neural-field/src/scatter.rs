@@ -52,8 +52,11 @@ impl<R: Real> Kernel for Scatter<'_, '_, R> {
         let mut runs = [Run { start: None, cell: [0; 3], sums: [R::ZERO; CELL] }; RAYS];
         for start in (0..lanes).step_by(VECTOR) {
             let eikonal = tile.has_eikonal && start >= from;
-            let cells = level.locate::<R, I>(&tile.pos, lanes, start);
             let mut bits = if eikonal { u32::MAX >> (32 - VECTOR) } else { nonzero::<R, I>(tile, l, start) };
+            if bits == 0 {
+                continue;
+            }
+            let cells = level.locate::<R, I>(&tile.pos, lanes, start);
             bits &= if dense { reach.some(&cells) } else { !0 };
             if bits == 0 {
                 continue;

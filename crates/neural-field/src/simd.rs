@@ -11,7 +11,7 @@ struct Avx2;
 #[cfg(target_arch = "x86_64")]
 impl Isa for Avx2 {
     type F32 = x86::F32x8;
-    const BLOCK: (usize, usize) = (6, 2);
+    const BLOCK: (usize, usize) = (12, 2);
 
     #[inline(always)]
     fn call<K: Kernel>(kernel: K) {
@@ -32,7 +32,7 @@ struct Avx512;
 #[cfg(target_arch = "x86_64")]
 impl Isa for Avx512 {
     type F32 = x86::F32x16;
-    const BLOCK: (usize, usize) = (8, 2);
+    const BLOCK: (usize, usize) = (24, 4);
 
     #[inline(always)]
     fn call<K: Kernel>(kernel: K) {
@@ -43,6 +43,19 @@ impl Isa for Avx512 {
         // SAFETY: only [`Set::call`] and kernels that it runs get here, after the features were detected.
         unsafe { compiled(kernel) }
     }
+}
+
+/// Asks for what is at `x[at]` to come into the cache; nothing where there is no such place.
+#[inline(always)]
+pub(crate) fn prefetch<T>(x: &[T], at: usize) {
+    #[cfg(target_arch = "x86_64")]
+    {
+        use std::arch::x86_64::{_MM_HINT_T0, _mm_prefetch};
+        // SAFETY: every processor of 64 bits has the instruction, which reads nothing and fails nowhere.
+        unsafe { _mm_prefetch::<_MM_HINT_T0>(x.as_ptr().wrapping_add(at).cast()) }
+    }
+    #[cfg(not(target_arch = "x86_64"))]
+    let _ = (x, at);
 }
 
 /// An instruction set that this processor has.
@@ -125,7 +138,7 @@ pub(crate) mod x86 {
 
     /// What the types share: loads and stores, and functions of vectors as one expression of intrinsics.
     macro_rules! lanes {
-        ($n:literal, $splat:ident, $load:ident, $store:ident;
+        ($n:literal, $splat:ident, $load:ident, $store:ident, $splat64:ident, $cast:ident;
          $($name:ident($a:ident $(, $arg:ident)*) = $body:expr;)*) => {
             const N: usize = $n;
             type Eight = F32x8;
@@ -134,6 +147,13 @@ pub(crate) mod x86 {
             fn splat(x: f32) -> Self {
                 // SAFETY: the processor has the instruction, see the module.
                 Self(unsafe { $splat(x) })
+            }
+
+            #[inline(always)]
+            fn splat_pair(x: &[f32; 2]) -> Self {
+                // One load of both. SAFETY: the processor has the instruction, see the module; eight bytes are there to
+                // read.
+                Self(unsafe { $cast($splat64(x.as_ptr().cast::<f64>().read_unaligned())) })
             }
 
             #[inline(always)]
@@ -208,7 +228,7 @@ pub(crate) mod x86 {
 
     impl Lanes<f32> for F32x4 {
         lanes! {
-            4, _mm_set1_ps, _mm_loadu_ps, _mm_storeu_ps;
+            4, _mm_set1_ps, _mm_loadu_ps, _mm_storeu_ps, _mm_set1_pd, _mm_castpd_ps;
             add(a, b) = _mm_add_ps(a, b);
             sub(a, b) = _mm_sub_ps(a, b);
             mul(a, b) = _mm_mul_ps(a, b);
@@ -286,7 +306,7 @@ pub(crate) mod x86 {
 
     impl Lanes<f32> for F32x8 {
         lanes! {
-            8, _mm256_set1_ps, _mm256_loadu_ps, _mm256_storeu_ps;
+            8, _mm256_set1_ps, _mm256_loadu_ps, _mm256_storeu_ps, _mm256_set1_pd, _mm256_castpd_ps;
             add(a, b) = _mm256_add_ps(a, b);
             sub(a, b) = _mm256_sub_ps(a, b);
             mul(a, b) = _mm256_mul_ps(a, b);
@@ -370,7 +390,7 @@ pub(crate) mod x86 {
 
     impl Lanes<f32> for F32x16 {
         lanes! {
-            16, _mm512_set1_ps, _mm512_loadu_ps, _mm512_storeu_ps;
+            16, _mm512_set1_ps, _mm512_loadu_ps, _mm512_storeu_ps, _mm512_set1_pd, _mm512_castpd_ps;
             add(a, b) = _mm512_add_ps(a, b);
             sub(a, b) = _mm512_sub_ps(a, b);
             mul(a, b) = _mm512_mul_ps(a, b);

@@ -35,8 +35,12 @@ pub(crate) struct Panel {
 impl Panel {
     /// Cuts lanes into panels: the central lanes, which are the last, begin a new one.
     pub(crate) fn all(lanes: usize, central: usize) -> impl Iterator<Item = Self> {
-        let from = lanes - central;
-        Self::cut(0, 0, from).chain(Self::cut(from.div_ceil(PANEL), from, lanes))
+        Self::free(lanes, central).chain(Self::central(lanes, central))
+    }
+
+    /// The panels of the lanes before the central ones.
+    pub(crate) fn free(lanes: usize, central: usize) -> impl Iterator<Item = Self> {
+        Self::cut(0, 0, lanes - central)
     }
 
     /// The panels of the central lanes.
@@ -224,7 +228,7 @@ pub(crate) struct Scratch<R> {
     pub(crate) enc: Aligned<R>,
     /// Its derivatives, by panel, rows `feature * 3 + axis`.
     pub(crate) jac: Aligned<R>,
-    /// By panel.
+    /// By panel of the central lanes.
     pub(crate) hidden: Aligned<R>,
     pub(crate) sdf: Aligned<R>,
     pub(crate) d_sdf: Aligned<R>,
@@ -254,7 +258,7 @@ pub(crate) struct PanelScratch<R> {
     pub(crate) active: Aligned<R>,
     /// Slopes, then their gradients, `[axis][lane]`.
     pub(crate) slope: Aligned<R>,
-    /// Something per feature of the encoding, and the same or another `[lane][feature]`.
+    /// Something per feature of the encoding, and the same or another in rows of pairs of lanes (`to_pairs`).
     pub(crate) columns: Aligned<R>,
     pub(crate) rows: Aligned<R>,
     /// `[lane][unit]`.
@@ -262,16 +266,21 @@ pub(crate) struct PanelScratch<R> {
     pub(crate) d_color_b: Aligned<R>,
 }
 
-/// Sums over a tile's panels that are not in the order of the weights.
+/// Sums over the panels of some tiles that are not in the order of the weights.
 #[derive(Clone, Debug)]
 pub(crate) struct TileSums<R> {
-    /// Per hidden unit, eight partial sums of the gradients of its bias and of its weight in the distance.
+    /// Per hidden unit, [`VECTOR`] partial sums of the gradients of its bias and of its weight in the distance.
     pub(crate) bias: Aligned<R>,
     pub(crate) head: Aligned<R>,
     /// Gradient of the geometry features' weights, `[unit][padded feature]`.
     pub(crate) features: Aligned<R>,
-    /// Sums of the eikonal's `q` over the samples in which a hidden unit is active, `[unit][encoding]`.
-    pub(crate) eikonal: Aligned<R>,
+    /// Gradient of the first layer's weights, `[unit][encoding][2]`: the sum of both parts.
+    pub(crate) first: Aligned<R>,
+    /// In the same order, sums over the samples in which a hidden unit is active: of the encoding times the distance's
+    /// gradient, and of the eikonal's `q`.
+    pub(crate) masked: Aligned<R>,
+    /// Sums over these samples of the distance's gradient, [`VECTOR`] partial sums per unit.
+    pub(crate) masked_bias: Aligned<R>,
 }
 
 impl<R: Real> TileSums<R> {
@@ -279,7 +288,9 @@ impl<R: Real> TileSums<R> {
         self.bias.fill(R::ZERO);
         self.head.fill(R::ZERO);
         self.features.fill(R::ZERO);
-        self.eikonal.fill(R::ZERO);
+        self.first.fill(R::ZERO);
+        self.masked.fill(R::ZERO);
+        self.masked_bias.fill(R::ZERO);
     }
 }
 
@@ -292,7 +303,7 @@ impl<R: Real> Scratch<R> {
         Self {
             enc: zeros(e * PANEL * panels),
             jac: zeros(3 * e * PANEL * panels),
-            hidden: zeros(h * PANEL * panels),
+            hidden: zeros(h * PANEL * Panel::all(central, central).count()),
             sdf: zeros(lanes),
             d_sdf: zeros(lanes),
             d_pos: zeros(3 * lanes),
@@ -312,10 +323,12 @@ impl<R: Real> Scratch<R> {
                 d_color_b: zeros(h * PANEL),
             },
             sums: TileSums {
-                bias: zeros(8 * h),
-                head: zeros(8 * h),
+                bias: zeros(VECTOR * h),
+                head: zeros(VECTOR * h),
                 features: zeros(h * networks.padded_features()),
-                eikonal: zeros(h * e),
+                first: zeros(2 * h * e),
+                masked: zeros(2 * h * e),
+                masked_bias: zeros(VECTOR * h),
             },
             slope_weights: zeros(h * e),
             clock: Clock::default(),
