@@ -166,6 +166,15 @@ impl OutputFolder {
         rgbd_io::poses::read_pose(&self.root.join(POSES).join(format!("{id}.txt")))
     }
 
+    /// The pose that goes with `mesh.ply`: of `ob_in_cam_refined/` where the run was refined, else of `ob_in_cam/`.
+    ///
+    /// # Errors
+    /// When it is missing or not a pose.
+    pub fn read_final_pose(&self, id: &str) -> Result<Isometry3<f64>, Error> {
+        let refined = self.root.join(REFINED_POSES).join(format!("{id}.txt"));
+        if refined.is_file() { rgbd_io::poses::read_pose(&refined) } else { self.read_pose(id) }
+    }
+
     /// Reads `masks/<id>.png`.
     ///
     /// # Errors

@@ -96,7 +96,7 @@ pub struct MeshReport {
 }
 
 impl MeshReport {
-    fn of(mesh: &TriMesh) -> Self {
+    pub(crate) fn of(mesh: &TriMesh) -> Self {
         Self { vertices: mesh.vertices.len(), faces: mesh.triangles.len(), watertight: mesh.is_watertight() }
     }
 }

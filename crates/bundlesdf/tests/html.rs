@@ -126,6 +126,36 @@ fn a_video_that_has_moved_is_said_and_the_rest_is_shown() {
     assert!(page.contains("can't be opened any more") && page.contains("model/gltf-binary"));
 }
 
+#[test]
+fn after_a_refinement_the_page_shows_what_goes_with_the_refined_mesh() {
+    let dir = tempfile::tempdir().unwrap();
+    let folder = results(dir.path(), magenta());
+    let page = || fs::read_to_string(write_page(&folder).unwrap()).unwrap();
+    let before = page();
+    assert!(!before.contains("after the refinement;"));
+    // As after a refinement: another mesh than run.json counts, poses of its own.
+    let mut report = folder.read_report().unwrap();
+    report.mesh.faces = 1_234_567;
+    folder.write_report(&report).unwrap();
+    folder.write_json("keyframes_refined.json", &folder.read_keyframes().unwrap()).unwrap();
+    fs::create_dir(dir.path().join("ob_in_cam_refined")).unwrap();
+    for frame in &report.frames {
+        let name = format!("{}.txt", frame.id);
+        let aside = "1 0 0 0.05\n0 1 0 0\n0 0 1 0.6\n0 0 0 1\n";
+        fs::write(dir.path().join("ob_in_cam_refined").join(name), aside).unwrap();
+    }
+    let after = page();
+    assert!(after.contains("after the refinement;") && !after.contains("1\u{202f}234\u{202f}567"));
+    let pictures = |page: &str| {
+        let parts = page.split("src=\"data:image/jpeg;base64,").skip(1);
+        parts.map(|p| p.split('"').next().unwrap().to_owned()).collect::<Vec<_>>()
+    };
+    assert!(
+        pictures(&before).iter().zip(pictures(&after)).all(|(a, b)| *a != b),
+        "drawn at the refined poses"
+    );
+}
+
 /// Says why a test did nothing, past the test runner's capture.
 fn skipped(reason: &str) {
     let _ = writeln!(std::io::stderr(), "skipped: the report in a browser: {reason}");

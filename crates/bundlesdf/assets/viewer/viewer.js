@@ -3,8 +3,9 @@
 // The page gives the model as base64 in <script id="model" type="model/gltf-binary"> and a <canvas id="view">. When
 // the first frame is on the canvas, <html data-viewer> says "drawn" (or "failed", with the reason in #view-note).
 import {
-  AmbientLight, Box3, Color, DirectionalLight, GridHelper, HemisphereLight, MeshStandardMaterial, PerspectiveCamera,
-  Scene, SRGBColorSpace, Vector3, WebGLRenderer, AxesHelper, Group,
+  AmbientLight, Box3, CanvasTexture, Color, ConeGeometry, CylinderGeometry, DirectionalLight, GridHelper, Group,
+  HemisphereLight, Mesh, MeshBasicMaterial, MeshStandardMaterial, PerspectiveCamera, Scene, Sprite, SpriteMaterial,
+  SRGBColorSpace, Vector3, WebGLRenderer,
 } from "three";
 import { GLTFLoader } from "three/examples/jsm/loaders/GLTFLoader.js";
 import { OrbitControls } from "three/examples/jsm/controls/OrbitControls.js";
@@ -21,6 +22,43 @@ function fail(reason) {
   document.getElementById("view-note").hidden = false;
   document.getElementById("viewer").classList.add("off");
   document.documentElement.dataset.viewer = "failed";
+}
+
+// The axes of the object frame, coloured as in the overlays and not hidden inside the object. Lines would be one pixel
+// wide in WebGL.
+function arrows(length) {
+  const group = new Group();
+  [["x", "#f04848"], ["y", "#3cc860"], ["z", "#4a86ff"]].forEach(([name, color], i) => {
+    const material = new MeshBasicMaterial({ color, depthTest: false, transparent: true });
+    const shaft = new Mesh(new CylinderGeometry(0.012, 0.012, 0.9, 12).translate(0, 0.45, 0), material);
+    const tip = new Mesh(new ConeGeometry(0.035, 0.12, 16).translate(0, 0.94, 0), material);
+    const letter = label(name, color);
+    letter.position.y = 1.12;
+    const arrow = new Group().add(shaft, tip, letter);
+    arrow.traverse((part) => { part.renderOrder = 1; });
+    // A cylinder stands along y.
+    if (i === 0) arrow.rotation.z = -Math.PI / 2;
+    if (i === 2) arrow.rotation.x = Math.PI / 2;
+    group.add(arrow);
+  });
+  group.scale.setScalar(length);
+  return group;
+}
+
+function label(text, color) {
+  const canvas = document.createElement("canvas");
+  canvas.width = canvas.height = 64;
+  const pen = canvas.getContext("2d");
+  pen.font = "600 48px system-ui, sans-serif";
+  pen.textAlign = "center";
+  pen.textBaseline = "middle";
+  pen.fillStyle = color;
+  pen.fillText(text, 32, 32);
+  const map = new CanvasTexture(canvas);
+  map.colorSpace = SRGBColorSpace;
+  const sprite = new Sprite(new SpriteMaterial({ map, depthTest: false }));
+  sprite.scale.setScalar(0.22);
+  return sprite;
 }
 
 async function start() {
@@ -54,13 +92,9 @@ async function start() {
   grid.material.transparent = true;
   grid.material.opacity = 0.25;
   scene.add(grid);
-  const axes = new AxesHelper(size * 0.3);
+  const axes = arrows(size * 0.3);
   // In the frame of the file's own coordinates, inside the node that turns them upright.
   (gltf.scene.children[0] ?? model).add(axes);
-  // As in the overlays, and not hidden inside the object.
-  axes.setColors("#f04848", "#3cc860", "#4a86ff");
-  axes.material.depthTest = false;
-  axes.renderOrder = 1;
   axes.visible = false;
 
   scene.add(new HemisphereLight(0xffffff, 0x8d8d95, 1.7), new AmbientLight(0xffffff, 0.5));
@@ -116,7 +150,15 @@ async function start() {
   on("view-wire", (pressed) => meshes.forEach((m) => { clay.wireframe = pressed; original.get(m).wireframe = pressed; }));
   on("view-axes", (pressed) => { axes.visible = pressed; });
   on("view-turn", (pressed) => { controls.autoRotate = pressed; });
-  on("view-home", () => { camera.position.copy(home); controls.target.copy(centre); controls.update(); });
+  on("view-home", () => {
+    // What is left of the last swing would move the camera on from here.
+    controls.enableDamping = false;
+    controls.update();
+    controls.enableDamping = true;
+    camera.position.copy(home);
+    controls.target.copy(centre);
+    controls.update();
+  });
 
   renderer.setAnimationLoop(() => {
     controls.update();

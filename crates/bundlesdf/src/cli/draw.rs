@@ -78,7 +78,7 @@ impl Artist<'_> {
 
     fn picture(&self, index: usize) -> Result<Image<[u8; 3]>, rgbd_io::Error> {
         let entry = &self.report.frames[index];
-        let pose = self.folder.read_pose(&entry.id)?;
+        let pose = self.folder.read_final_pose(&entry.id)?;
         let frame = self.source.frame(index)?;
         let mask: Option<Mask> =
             if self.args.what.mask { self.folder.read_mask(&entry.id).ok() } else { None };

@@ -12,12 +12,15 @@ use crate::{
     draw::{Overlay, direction},
     export::{Asset, glb},
     output::OutputFolder,
+    report::MeshReport,
 };
 
 /// A finished run.
 pub(super) struct Results {
     pub(super) report: RunReport,
     pub(super) keyframes: Vec<KeyframeReport>,
+    /// Whether mesh, poses and keyframes are those of a refinement.
+    pub(super) refined: bool,
     /// `cam_from_obj` by frame; `None` where its file is missing.
     pub(super) poses: Vec<Option<Isometry3<f64>>>,
     pub(super) overlay: Overlay,
@@ -34,14 +37,18 @@ pub(super) struct Results {
 
 impl Results {
     pub(super) fn gather(folder: &OutputFolder) -> Result<Self, Error> {
-        let report = folder.read_report()?;
-        let keyframes = folder.read_keyframes()?;
+        let mut report = folder.read_report()?;
+        let refined = folder.read_refined_keyframes()?;
         let mut problems = Vec::new();
         let overlay = Overlay::open(folder).unwrap_or_else(|error| {
             problems.push(error.to_string());
             Overlay::new(None)
         });
-        let poses: Vec<_> = report.frames.iter().map(|f| folder.read_pose(&f.id).ok()).collect();
+        // The numbers in run.json are those of the mesh before.
+        if let (Some(_), Some(mesh)) = (&refined, overlay.mesh()) {
+            report.mesh = MeshReport::of(mesh);
+        }
+        let poses: Vec<_> = report.frames.iter().map(|f| folder.read_final_pose(&f.id).ok()).collect();
         let overlays = draw_overlays(folder, &report, &poses, &overlay);
         let scores = fs::read(folder.path().join("eval.json")).ok();
         let mut files: Vec<String> = fs::read_dir(folder.path())
@@ -51,7 +58,11 @@ impl Results {
         Ok(Self {
             model: model(folder, &overlay),
             report,
-            keyframes,
+            refined: refined.is_some(),
+            keyframes: match refined {
+                Some(keyframes) => keyframes,
+                None => folder.read_keyframes()?,
+            },
             poses,
             overlay,
             overlays,

@@ -18,6 +18,8 @@ const FRAMES: usize = 12;
 const WIDTH: usize = 480;
 /// How much wider than the object the part of the frame is that is shown.
 const MARGIN: f64 = 1.7;
+/// Least share of the frame's width that is shown: of fewer pixels only blur would be seen.
+const LEAST_SHARE: f64 = 0.1;
 const JPEG_QUALITY: u8 = 82;
 
 /// Pictures, and why there are fewer than there should be.
@@ -56,14 +58,9 @@ pub(super) fn draw_overlays(
         }
     };
     let chosen = spread(report.frames.len(), FRAMES);
-    let shown = chosen.iter().filter_map(|i| poses.get(*i).copied().flatten());
-    let share = match source.frame(0) {
-        Ok(first) => shown.map(|pose| extent(overlay, &first, &pose)).fold(0.0, f64::max),
-        Err(_) => 1.0,
-    };
     let drawn: Vec<Result<Picture, String>> = chosen
         .into_par_iter()
-        .map(|frame| picture(frame, folder, report, poses, overlay, share, source.as_ref()))
+        .map(|frame| picture(frame, folder, report, poses, overlay, source.as_ref()))
         .collect();
     let problem = drawn.iter().find_map(|p| p.as_ref().err().cloned());
     Overlays { pictures: drawn.into_iter().flatten().collect(), problem }
@@ -83,14 +80,14 @@ fn picture(
     report: &RunReport,
     poses: &[Option<Isometry3<f64>>],
     overlay: &Overlay,
-    share: f64,
     source: &dyn FrameSource,
 ) -> Result<Picture, String> {
     let entry = report.frames.get(index).ok_or("The run has fewer frames than it says.")?;
     let pose = poses.get(index).copied().flatten();
     let pose = pose.ok_or_else(|| format!("Frame {} has no pose file.", entry.id))?;
     let frame = source.frame(index).map_err(|e| format!("A frame can't be read any more: {e}"))?;
-    let (color, intrinsics) = cut_out(frame, overlay, &pose, MARGIN * share);
+    let share = MARGIN * extent(overlay, &frame, &pose);
+    let (color, intrinsics) = cut_out(frame, overlay, &pose, share);
     let mask = folder.read_mask(&entry.id).ok();
     let view =
         View { color: &color, intrinsics, cam_from_obj: pose, status: entry.status, mask: mask.as_ref() };
@@ -134,7 +131,7 @@ fn cut_out(
 ) -> (Image<[u8; 3]>, Intrinsics) {
     let (color, intrinsics) = (frame.color, frame.intrinsics);
     let (width, height) = color.size();
-    let share = if (0.1..0.85).contains(&share) { share } else { 1.0 };
+    let share = if share < 0.85 { share.max(LEAST_SHARE) } else { 1.0 };
     let part = |size: usize| ((size as f64 * share) as usize).clamp(1, size.max(1));
     let (columns, rows) = (part(width), part(height));
     let middle = overlay.bounds().map_or_else(Point3::origin, |b| b.centre());
@@ -172,6 +169,22 @@ mod tests {
         let [u, v] = camera.project(centre.coords.into()).unwrap();
         let middle = [color.width() as f64 / 2.0, color.height() as f64 / 2.0];
         assert!((u - middle[0]).abs() < 8.0 && (v - middle[1]).abs() < 8.0, "{u} {v} {middle:?}");
+    }
+
+    #[test]
+    fn a_small_object_is_magnified_and_a_large_one_not_cut() {
+        let sequence = rgbd_synth::Sequence::tiny();
+        let overlay = Overlay::new(Some(sequence.mesh().clone()));
+        let pose = sequence.cam_from_obj(0);
+        let given = sequence.intrinsics();
+        let zoom = |share: f64| {
+            let frame = sequence.render(0).frame;
+            let width = frame.color.width() as f64;
+            let (color, camera) = cut_out(frame, &overlay, &pose, share);
+            (camera.fx / given.fx) / (color.width() as f64 / width)
+        };
+        assert!((zoom(0.02) - 1.0 / LEAST_SHARE).abs() < 0.5, "{}", zoom(0.02));
+        assert_eq!((zoom(0.9), zoom(f64::NAN)), (1.0, 1.0));
     }
 
     #[test]

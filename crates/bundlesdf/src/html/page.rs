@@ -212,7 +212,8 @@ fn poses(results: &Results) -> Markup {
                 p.lead {
                     "White: the box around the mesh (dashed behind it). Yellow: outline of the mesh, also where "
                     "something hides it. Red, green, blue: x, y, z of the object. The outline should lie on the object's edge. "
-                    "The pictures show the part of the frame around the object."
+                    "Each picture shows the part of its frame around the object."
+                    @if results.refined { " Mesh and poses are those after the refinement; status and inliers are the run's." }
                 }
                 @if let Some(problem) = &overlays.problem { p.note { (problem) } }
                 div.frames {
@@ -236,7 +237,7 @@ fn caption(entry: &FrameReport) -> Markup {
         b { (entry.id) }
         span { i class={ "swatch " (entry.status.as_str()) } {} (entry.status.as_str()) }
         span { (entry.inliers) " inliers" }
-        span { (format!("{:.0} % depth", entry.depth_agreement * 100.0)) }
+        span { (format!("{:.0} % of depth fits", entry.depth_agreement * 100.0)) }
     }
 }
 

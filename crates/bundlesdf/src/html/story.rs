@@ -116,7 +116,15 @@ fn sentences(results: &Results) -> Vec<String> {
 
 /// Centimetres for what one can hold.
 fn dimensions(a: f64, b: f64, c: f64) -> String {
-    format!("{a:.1} \u{d7} {b:.1} \u{d7} {c:.1} cm")
+    // Not to be broken between lines.
+    format!("{a:.1}\u{a0}\u{d7}\u{a0}{b:.1}\u{a0}\u{d7}\u{a0}{c:.1}\u{a0}cm")
+}
+
+/// A remedy as it stands in a message, made a sentence.
+fn sentence(text: &str) -> String {
+    let mut letters = text.chars();
+    let first = letters.next().map(|c| c.to_uppercase().to_string()).unwrap_or_default();
+    format!("{first}{}.", letters.as_str().trim_end_matches('.'))
 }
 
 fn times(count: usize) -> String {
@@ -138,7 +146,7 @@ fn advice(results: &Results) -> Vec<Advice> {
     for warning in &report.warnings {
         list.push(Advice::new(
             format!("From frame {} on: {}.", warning.frame, warning.message),
-            warning.remedy.clone(),
+            sentence(&warning.remedy),
         ));
     }
     for warning in report.unreadable.iter().chain(&results.problems) {
@@ -249,4 +257,16 @@ fn stride(report: &RunReport) -> usize {
 
 fn plural(count: usize, thing: &str) -> String {
     if count == 1 { format!("one {thing}") } else { format!("{count} {thing}s") }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn remedies_become_sentences() {
+        assert_eq!(sentence("move it more slowly; check the focus"), "Move it more slowly; check the focus.");
+        assert_eq!(sentence("Turn it."), "Turn it.");
+        assert_eq!(sentence(""), ".");
+    }
 }

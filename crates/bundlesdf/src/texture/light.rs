@@ -65,7 +65,7 @@ impl Light {
     pub(super) fn estimate(points: &[SurfacePoint], views: &[Prepared]) -> Self {
         let mut sightings = sample::sightings(points, views);
         let mut light = Self::even();
-        light.moving = moving(&rows(points, views, &sightings), views.len());
+        light.moving = moving(&rows(points, views, &sightings), views.len()).0;
         light.remove(points, views, &mut sightings);
         let gains = color::gains(&sightings, views.len());
         color::apply(&mut sightings, &gains);
@@ -110,19 +110,25 @@ impl Light {
     }
 }
 
-/// The shading by the normal in the camera's frame.
-fn moving(points: &[Vec<Row>], views: usize) -> Terms {
+/// How much of the points' changing brightness the common light leaves unexplained: robust standard deviation of the
+/// logarithms.
+pub(super) fn unexplained(points: &[SurfacePoint], views: &[Prepared]) -> f64 {
+    moving(&rows(points, views, &sample::sightings(points, views)), views.len()).1
+}
+
+/// The shading by the normal in the camera's frame, and the deviation from it.
+fn moving(points: &[Vec<Row>], views: usize) -> (Terms, f64) {
     let mut terms = [0.0; TERMS];
     let mut x = DVector::zeros(views + TERMS);
     let mut sigma = f64::INFINITY;
     for _ in 0..ROUNDS {
         let errors: Vec<f64> = points.par_iter().flat_map_iter(|rows| residuals(rows, &x, sigma)).collect();
         sigma = deviation(errors).max(LEAST_SIGMA);
-        let Some(next) = solve(points, &x, sigma, views) else { return terms };
+        let Some(next) = solve(points, &x, sigma, views) else { return (terms, sigma) };
         x = next;
     }
     terms.copy_from_slice(&x.as_slice()[views..]);
-    terms
+    (terms, sigma)
 }
 
 /// Sightings of some of the vertices that several views see.

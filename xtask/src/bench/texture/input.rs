@@ -11,6 +11,13 @@ use rgbd_synth::Sequence;
 /// Faces of a true mesh: about those of a reconstructed one.
 const FACES: usize = 20_000;
 
+/// What of a run is exchanged for the truth, to see what each costs.
+#[derive(Clone, Copy)]
+pub(super) struct Truth {
+    pub(super) mesh: bool,
+    pub(super) poses: bool,
+}
+
 /// Mesh and views in one frame.
 pub(super) struct Input {
     pub(super) mesh: TriMesh,
@@ -40,8 +47,9 @@ impl Input {
         Self { mesh: video.mesh().simplified(FACES), views, used, true_from_obj: Isometry3::identity() }
     }
 
-    /// The mesh, keyframes and masks of a finished run on the sequence.
-    pub(super) fn of_run(video: &Sequence, results: &Path) -> anyhow::Result<Self> {
+    /// The mesh, keyframes and masks of a finished run on the sequence, the mesh or the poses exchanged for the true
+    /// ones as asked.
+    pub(super) fn of_run(video: &Sequence, results: &Path, truth: Truth) -> anyhow::Result<Self> {
         let folder = OutputFolder::open(results)?;
         let (mesh, views) = export::load(&folder)?;
         let mesh = export::clean(&mesh, &views, &export::ExportOptions::default())?;
@@ -53,7 +61,19 @@ impl Input {
             .zip(&used)
             .map(|(view, &i)| video.cam_from_obj(i).inverse() * view.obj_from_cam.inverse());
         let true_from_obj = mean(&poses.collect::<Vec<_>>(), &mesh);
-        Ok(Self { mesh, views, used, true_from_obj })
+        let obj_from_true = true_from_obj.inverse();
+        let mut input = Self { mesh, views, used, true_from_obj };
+        if truth.mesh {
+            let moved = obj_from_true.to_homogeneous();
+            let rows = std::array::from_fn(|r| std::array::from_fn(|c| moved[(r, c)]));
+            input.mesh = video.mesh().simplified(FACES).transformed_by(&rows);
+        }
+        if truth.poses {
+            for (view, &i) in input.views.iter_mut().zip(&input.used) {
+                view.obj_from_cam = obj_from_true * video.cam_from_obj(i).inverse();
+            }
+        }
+        Ok(input)
     }
 
     /// `count` frames far from those that were used.

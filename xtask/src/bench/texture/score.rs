@@ -34,6 +34,12 @@ pub(super) struct Psnr {
     pub(super) covered: f64,
 }
 
+/// The frames as `wanted` wants them to be seen.
+pub(super) fn frames(video: &Sequence, frames: &[usize], wanted: Target) -> Vec<SynthFrame> {
+    let truth = target(video, wanted);
+    truth.iter().flat_map(|truth| frames.iter().map(|&i| truth.render(i))).collect()
+}
+
 /// The sequence as `target` wants it to be seen.
 fn target(video: &Sequence, target: Target) -> Option<Sequence> {
     let spec = SequenceSpec { sensor: Sensor::perfect(), ..video.spec().clone() };
@@ -52,19 +58,18 @@ fn target(video: &Sequence, target: Target) -> Option<Sequence> {
 pub(super) fn psnr(
     textured: &TexturedMesh,
     video: &Sequence,
-    frames: &[usize],
+    frames: &[SynthFrame],
     true_from_obj: &Isometry3<f64>,
     wanted: Target,
 ) -> Psnr {
     let (mut pairs, mut all) = (Vec::new(), 0usize);
-    let truth = target(video, wanted);
-    for seen in truth.iter().flat_map(|truth| frames.iter().map(|&i| truth.render(i))) {
+    for seen in frames {
         let drawn = textured.render(
             &video.intrinsics(),
             seen.frame.color.size(),
             &(seen.cam_from_obj * true_from_obj),
         );
-        for at in inner(&seen) {
+        for at in inner(seen) {
             all += 1;
             if drawn.depth[at] > 0.0 {
                 let (a, b) = (drawn.color[at], seen.frame.color[at]);
@@ -86,7 +91,7 @@ pub(super) fn psnr(
 }
 
 /// Pixels of the object whose neighbours are its pixels too.
-fn inner(seen: &SynthFrame) -> impl Iterator<Item = (usize, usize)> + '_ {
+pub(super) fn inner(seen: &SynthFrame) -> impl Iterator<Item = (usize, usize)> + '_ {
     let mask = &seen.visible_mask;
     let (width, height) = mask.size();
     let pixels = (1..height - 1).flat_map(move |y| (1..width - 1).map(move |x| (x, y)));
