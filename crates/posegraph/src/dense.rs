@@ -123,7 +123,7 @@ impl DenseTerm {
         let lift = lift(&(poses[self.target] * centre));
         let h = lift * (h * self.scale) * lift.transpose();
         let nodes = (self.target, self.source);
-        PairBlocks { nodes, h, g: lift * (g * self.scale), cost: self.scale * cost, noise }
+        PairBlocks { nodes, h, g: lift * (g * self.scale), cost: self.scale * cost, noise, doubt: 0.0 }
     }
 
     pub(crate) fn tally(&self, poses: &[Isometry3<f64>]) -> Tally {

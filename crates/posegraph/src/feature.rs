@@ -6,6 +6,7 @@ use crate::graph::FeatureEdge;
 use crate::jacobian::lift;
 use crate::lanes::LANES;
 use crate::normal::PairBlocks;
+use crate::observability::match_doubt;
 use crate::options::SolveOptions;
 use crate::rays::{Block, Pair, RayNoise};
 use crate::simd;
@@ -28,6 +29,8 @@ pub(crate) struct FeatureTerm {
     noise: RayNoise,
     /// Huber threshold and saturation, standard deviations.
     pub(crate) robust: [f32; 2],
+    /// Share of the information that doesn't tell whether a motion is seen at all.
+    doubt: f64,
 }
 
 impl FeatureTerm {
@@ -38,7 +41,7 @@ impl FeatureTerm {
             (is_finite(&p) && is_finite(&q) && w.is_finite() && w > 0.0).then_some((p, q, w))
         });
         let mut blocks = Vec::with_capacity(edge.points_i.len().div_ceil(LANES));
-        let (mut count, mut total) = (0, 0.0);
+        let (mut count, mut total, mut squares) = (0, 0.0, 0.0);
         // Any of the points is as near to the others as single precision needs.
         let (mut centre_i, mut centre_j) = ([0.0; 3], [0.0; 3]);
         for (p, q, w) in usable {
@@ -50,12 +53,15 @@ impl FeatureTerm {
             }
             blocks[count / LANES].set_lane(count % LANES, (p, centre_i), (q, centre_j), w);
             total += f64::from(w);
+            squares += Vector3::from(widen(p)).norm_squared();
             count += 1;
         }
         let share = if total > options.feature_cap { options.feature_cap / total } else { 1.0 };
         let (i, j, scale) = (edge.i, edge.j, options.feature_weight * share);
         let (noise, robust) = (RayNoise::new(options), options.gates(usize::MAX).feature);
-        Self { edge: index, i, j, blocks, count, centre_i, centre_j, scale, noise, robust }
+        let distance_squared = squares / f64::max(count as f64, 1.0);
+        let doubt = match_doubt(2.0 * options.feature_angle.powi(2) * distance_squared);
+        Self { edge: index, i, j, blocks, count, centre_i, centre_j, scale, noise, robust, doubt }
     }
 
     /// The sides of the edge about a point near the matches, and where that is.
@@ -87,7 +93,7 @@ impl FeatureTerm {
         let lift = lift(&Translation3::from(centre).into());
         let h = lift * (h * self.scale) * lift.transpose();
         let (nodes, g, cost) = ((self.i, self.j), lift * (g * self.scale), self.scale * cost);
-        PairBlocks { nodes, h, g, cost, noise: 0.0 }
+        PairBlocks { nodes, h, g, cost, noise: 0.0, doubt: self.doubt }
     }
 
     pub(crate) fn tally(&self, poses: &[Isometry3<f64>]) -> Tally {

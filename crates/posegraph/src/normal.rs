@@ -12,6 +12,8 @@ pub(crate) struct NormalEquations {
     g: DVector<f64>,
     /// Information that noise in normals gives each free node, see [`PairBlocks::noise`].
     noise: Vec<f64>,
+    /// Information that each free node's matches only claim, see [`PairBlocks::doubt`].
+    doubt: Vec<Matrix6<f64>>,
     /// Buffer that the factorisation consumes and gives back.
     scratch: DMatrix<f64>,
     step: DVector<f64>,
@@ -26,6 +28,18 @@ pub(crate) struct PairBlocks {
     pub(crate) g: Vector6<f64>,
     pub(crate) cost: f64,
     /// What noise in the normals alone gives to any motion, 1/m^2 by the way of a typical point.
+    pub(crate) noise: f64,
+    /// Share of `h` that doesn't tell whether a motion is seen at all.
+    pub(crate) doubt: f64,
+}
+
+/// What the equations tell of one node, the others given.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Own {
+    pub(crate) information: Matrix6<f64>,
+    /// The part of it that doesn't tell whether a motion is seen at all.
+    pub(crate) doubt: Matrix6<f64>,
+    /// What noise in normals has part in it.
     pub(crate) noise: f64,
 }
 
@@ -49,6 +63,7 @@ impl NormalEquations {
             h: DMatrix::zeros(n, n),
             g: DVector::zeros(n),
             noise: vec![0.0; free],
+            doubt: vec![Matrix6::zeros(); free],
             scratch: DMatrix::zeros(n, n),
             step: DVector::zeros(n),
         }
@@ -70,6 +85,7 @@ impl NormalEquations {
         self.h.fill(0.0);
         self.g.fill(0.0);
         self.noise.fill(0.0);
+        self.doubt.fill(Matrix6::zeros());
     }
 
     /// Adds a node's own block and gradient; ignored for eliminated nodes.
@@ -100,8 +116,14 @@ impl NormalEquations {
         self.add(*a, h, g);
         self.add(*b, h, &-g);
         self.add_cross(*a, *b, &-h);
-        self.add_noise(*a, pair.noise);
-        self.add_noise(*b, pair.noise);
+        for node in [*a, *b] {
+            self.add_noise(node, pair.noise);
+            if let Some(slot) = self.slot(node)
+                && pair.doubt > 0.0
+            {
+                self.doubt[slot] += h * pair.doubt;
+            }
+        }
         pair.cost
     }
 
@@ -112,12 +134,12 @@ impl NormalEquations {
         }
     }
 
-    /// A node's own block, and what noise in normals has part in it; `None` for eliminated nodes.
-    pub(crate) fn own(&self, node: usize) -> Option<(Matrix6<f64>, f64)> {
+    /// A node's own block; `None` for eliminated nodes.
+    pub(crate) fn own(&self, node: usize) -> Option<Own> {
         let a = self.slot(node)?;
-        let block = self.h.fixed_view::<6, 6>(6 * a, 6 * a);
+        let information = self.h.fixed_view::<6, 6>(6 * a, 6 * a).into_owned();
         // Terms add to all of it.
-        Some((block.into_owned(), self.noise[a]))
+        Some(Own { information, doubt: self.doubt[a], noise: self.noise[a] })
     }
 
     pub(crate) fn gradient_is_zero(&self) -> bool {

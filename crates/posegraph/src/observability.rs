@@ -8,6 +8,7 @@
 
 use nalgebra::{Matrix3, Matrix6, SymmetricEigen, Vector3, Vector6};
 
+use crate::normal::Own;
 use crate::stats::Extent;
 
 /// A direction with less than this times the information of noise alone counts as not observed at all, and one with
@@ -17,6 +18,10 @@ const UNOBSERVED: f64 = 1.0;
 const OBSERVED: f64 = 1.5;
 /// Least noise of a normal, as a variance (radians squared): sampling alone turns it that much.
 const LEAST_VARIANCE: f64 = 3e-4;
+/// How far the matches of a pair of views may be off together, metres: on a plain surface they follow its outline and its
+/// shading instead of the surface. That is no matter for a pose that other things hold, but the turn of a can without print
+/// must not be taken from it.
+const MATCHES_OFF: f64 = 0.002;
 /// Share of the data in a direction that is not observed at all: what is left is numerically nothing.
 const LEAST_SHARE: f64 = 0.01;
 /// Below this share of the largest information a direction is not observed, noise or not.
@@ -73,32 +78,32 @@ impl Observability {
         self.directions.iter().map(part).sum()
     }
 
-    /// From the information on the node's object-frame twist and the information that noise in the normals gives.
-    pub(crate) fn new(node: usize, information: &Matrix6<f64>, noise: f64, extent: &Extent) -> Option<Self> {
-        let seen = Self::about(node, information, noise, extent)?;
+    /// From what the measurements tell of the node's object-frame twist.
+    pub(crate) fn new(node: usize, own: &Own, extent: &Extent) -> Option<Self> {
+        let seen = Self::about(node, own, extent)?;
         match seen.axis_offset() {
             Some(offset) => {
                 let radius = extent.arm().hypot(offset.norm());
                 let about_axis = Extent { centre: extent.centre + offset, radius };
-                Self::about(node, information, noise, &about_axis)
+                Self::about(node, own, &about_axis)
             }
             None => Some(seen),
         }
     }
 
-    fn about(node: usize, information: &Matrix6<f64>, noise: f64, extent: &Extent) -> Option<Self> {
+    fn about(node: usize, own: &Own, extent: &Extent) -> Option<Self> {
         let basis = extent.basis();
-        let scaled = basis.transpose() * information * basis;
-        if scaled.iter().any(|x| !x.is_finite()) || !noise.is_finite() {
+        let scaled = basis.transpose() * own.information * basis;
+        if scaled.iter().any(|x| !x.is_finite()) || !own.noise.is_finite() {
             return None;
         }
         let eigen = SymmetricEigen::new((scaled + scaled.transpose()) * 0.5);
         let largest = eigen.eigenvalues.max().max(0.0);
-        let floor = noise.max(SINGULAR * largest);
+        let floor = own.noise.max(SINGULAR * largest);
         let mut directions = [0, 1, 2, 3, 4, 5].map(|k| {
-            let information = eigen.eigenvalues[k].max(0.0);
-            let observed = share(information, floor);
-            Direction { twist: basis * eigen.eigenvectors.column(k), information, observed }
+            let (information, twist) = (eigen.eigenvalues[k].max(0.0), basis * eigen.eigenvectors.column(k));
+            let observed = share(information - twist.dot(&(own.doubt * twist)), floor);
+            Direction { twist, information, observed }
         });
         directions.sort_by(|a, b| a.information.total_cmp(&b.information));
         Some(Self { node, centre: extent.centre, radius: extent.arm(), directions, floor })
@@ -154,11 +159,16 @@ impl Observability {
 }
 
 /// Whether every direction has so much more information than noise that nothing needs to be held.
-pub(crate) fn is_fully_observed(information: &Matrix6<f64>, noise: f64, extent: &Extent) -> bool {
+pub(crate) fn is_fully_observed(own: &Own, extent: &Extent) -> bool {
     let basis = extent.basis();
-    let scaled = basis.transpose() * information * basis;
-    let floor = OBSERVED * noise.max(SINGULAR * scaled.diagonal().amax());
+    let scaled = basis.transpose() * (own.information - own.doubt) * basis;
+    let floor = OBSERVED * own.noise.max(SINGULAR * scaled.diagonal().amax());
     (scaled - Matrix6::identity() * floor).cholesky().is_some()
+}
+
+/// Share of the information of matches with this variance across the rays that doesn't tell whether a motion is seen.
+pub(crate) fn match_doubt(variance: f64) -> f64 {
+    MATCHES_OFF.powi(2) / (variance + MATCHES_OFF.powi(2))
 }
 
 /// Information per squared way of a typical point that normals whose variance per tangential direction is `variance`

@@ -144,12 +144,12 @@ impl<'a> Problem<'a> {
     pub(crate) fn hold(&mut self, poses: &[Isometry3<f64>], normal: &mut NormalEquations) -> f64 {
         self.holds.clear();
         for (node, pose) in poses.iter().enumerate() {
-            let Some((own, noise)) = normal.own(node) else { continue };
+            let Some(own) = normal.own(node) else { continue };
             let extent = self.extents[node].moved(pose);
-            if is_fully_observed(&own, noise, &extent) {
+            if is_fully_observed(&own, &extent) {
                 continue;
             }
-            let observability = Observability::new(node, &own, noise, &extent);
+            let observability = Observability::new(node, &own, &extent);
             if let Some(information) = observability.and_then(|o| o.hold()) {
                 self.holds.push(PosePrior { node, obj_from_cam: self.predictions[node], information });
             }
@@ -172,8 +172,7 @@ impl<'a> Problem<'a> {
         normal: &NormalEquations,
     ) -> Option<Observability> {
         let node = (0..poses.len()).rev().find(|&node| normal.is_free(node))?;
-        let (own, noise) = normal.own(node)?;
-        Observability::new(node, &own, noise, &self.extents[node].moved(&poses[node]))
+        Observability::new(node, &normal.own(node)?, &self.extents[node].moved(&poses[node]))
     }
 
     pub(crate) fn summary(&mut self, poses: &[Isometry3<f64>], graph: &PoseGraph<'_>) -> Summary {

@@ -5,6 +5,7 @@ use nalgebra::{Isometry3, Matrix6, Vector6};
 use crate::graph::{SdfModel, SdfTerm};
 use crate::jacobian::{RowSums, direction_row, huber};
 use crate::normal::NormalEquations;
+use crate::normal::Own;
 use crate::observability::{Observability, noise_information};
 use crate::options::SolveOptions;
 use crate::stats::{Extent, Residuals};
@@ -27,7 +28,8 @@ impl SdfTerm<'_> {
         let (h, _, _) = unary.sums(obj_from_cam);
         let h = h * unary.scale;
         let extent = Extent::of(unary.points.iter().copied()).moved(obj_from_cam);
-        let seen = Observability::new(self.node, &h, gradient_noise(&h), &extent);
+        let own = Own { information: h, doubt: Matrix6::zeros(), noise: gradient_noise(&h) };
+        let seen = Observability::new(self.node, &own, &extent);
         seen.map_or_else(Matrix6::zeros, |seen| seen.beyond_noise())
     }
 }
