@@ -135,28 +135,6 @@ fn the_light_of_a_lamp_is_taken_out() {
     assert!(db >= 24.0, "{db:.2} dB");
 }
 
-/// Bumps that noisy depth leaves on a mesh aren't taken for shading: light divided out by their normals would leave
-/// blotches.
-#[test]
-fn bumps_of_the_mesh_leave_no_blotches() {
-    let mut mesh = small_mesh();
-    mesh.compute_normals();
-    let out = mesh.normals.clone();
-    for (i, (p, n)) in mesh.vertices.iter_mut().zip(&out).enumerate() {
-        let bump = 0.0016 * (((i as f32 * 12.9898).sin() * 43_758.547).fract().abs() - 0.5);
-        (0..3).for_each(|k| p[k] += bump * n[k]);
-    }
-    mesh.compute_normals();
-    let lit = sequence(Light::default(), Sensor::structured_light());
-    let textured = bake(&mesh, &views(&lit), &options()).unwrap();
-    let (pairs, _) = compared(&textured, &sequence(flat(), Sensor::perfect()));
-    let factor =
-        pairs.iter().map(|[a, b]| a * b).sum::<f64>() / pairs.iter().map(|[a, _]| a * a).sum::<f64>();
-    let db = decibels(&pairs, factor);
-    println!("bumps: {db:.2} dB to the object's colours, after a factor of {factor:.2}");
-    assert!(db >= 23.0, "{db:.2} dB");
-}
-
 /// Poses as a tracker leaves them, off by a millimetre and a third of a degree: the images themselves correct them.
 #[test]
 fn small_pose_errors_are_corrected() {

@@ -59,6 +59,8 @@ pub struct Observability {
     pub directions: [Direction; 6],
     /// Information that noise gives.
     floor: f64,
+    /// Information on the twist.
+    whole: Matrix6<f64>,
 }
 
 impl Observability {
@@ -70,6 +72,11 @@ impl Observability {
     /// Covariance of the object-frame twist `[rho; phi]`, metres and radians. A motion that is not observed has the
     /// standard deviation that any pose has: a typical point may be anywhere on the object.
     pub fn covariance(&self) -> Matrix6<f64> {
+        if self.directions.iter().all(|d| d.observed == 1.0)
+            && let Some(covariance) = self.whole.try_inverse()
+        {
+            return covariance;
+        }
         let anywhere = 2.0 * self.radius;
         let part = |d: &Direction| {
             let variance = (d.information * d.observed).recip().min(anywhere * anywhere);
@@ -93,20 +100,24 @@ impl Observability {
 
     fn about(node: usize, own: &Own, extent: &Extent) -> Option<Self> {
         let basis = extent.basis();
-        let scaled = basis.transpose() * own.information * basis;
-        if scaled.iter().any(|x| !x.is_finite()) || !own.noise.is_finite() {
+        let believed = basis.transpose() * (own.information - own.doubt) * basis;
+        if believed.iter().any(|x| !x.is_finite()) || !own.noise.is_finite() {
             return None;
         }
-        let eigen = SymmetricEigen::new((scaled + scaled.transpose()) * 0.5);
+        let eigen = SymmetricEigen::new((believed + believed.transpose()) * 0.5);
         let largest = eigen.eigenvalues.max().max(0.0);
         let floor = own.noise.max(SINGULAR * largest);
         let mut directions = [0, 1, 2, 3, 4, 5].map(|k| {
-            let (information, twist) = (eigen.eigenvalues[k].max(0.0), basis * eigen.eigenvectors.column(k));
-            let observed = share(information - twist.dot(&(own.doubt * twist)), floor);
-            Direction { twist, information, observed }
+            let observed = share(eigen.eigenvalues[k].max(0.0), floor);
+            let twist = basis * eigen.eigenvectors.column(k);
+            Direction { twist, information: twist.dot(&(own.information * twist)).max(0.0), observed }
         });
-        directions.sort_by(|a, b| a.information.total_cmp(&b.information));
-        Some(Self { node, centre: extent.centre, radius: extent.arm(), directions, floor })
+        let least_first = |a: &Direction, b: &Direction| {
+            a.observed.total_cmp(&b.observed).then(a.information.total_cmp(&b.information))
+        };
+        directions.sort_by(least_first);
+        let whole = own.information;
+        Some(Self { node, centre: extent.centre, radius: extent.arm(), directions, floor, whole })
     }
 
     /// From the centre to where the loose motions are pure turns: a point of the can's axis, the ball's centre. Only

@@ -65,7 +65,7 @@ impl Light {
     pub(super) fn estimate(points: &[SurfacePoint], views: &[Prepared]) -> Self {
         let mut sightings = sample::sightings(points, views);
         let mut light = Self::even();
-        light.moving = moving(&rows(points, views, &sightings), views.len()).0;
+        light.moving = moving(&rows(points, views, &sightings), views.len());
         light.remove(points, views, &mut sightings);
         let gains = color::gains(&sightings, views.len());
         color::apply(&mut sightings, &gains);
@@ -110,25 +110,19 @@ impl Light {
     }
 }
 
-/// How much of the points' changing brightness the common light leaves unexplained: robust standard deviation of the
-/// logarithms.
-pub(super) fn unexplained(points: &[SurfacePoint], views: &[Prepared]) -> f64 {
-    moving(&rows(points, views, &sample::sightings(points, views)), views.len()).1
-}
-
-/// The shading by the normal in the camera's frame, and the deviation from it.
-fn moving(points: &[Vec<Row>], views: usize) -> (Terms, f64) {
+/// The shading by the normal in the camera's frame.
+fn moving(points: &[Vec<Row>], views: usize) -> Terms {
     let mut terms = [0.0; TERMS];
     let mut x = DVector::zeros(views + TERMS);
     let mut sigma = f64::INFINITY;
     for _ in 0..ROUNDS {
         let errors: Vec<f64> = points.par_iter().flat_map_iter(|rows| residuals(rows, &x, sigma)).collect();
         sigma = deviation(errors).max(LEAST_SIGMA);
-        let Some(next) = solve(points, &x, sigma, views) else { return (terms, sigma) };
+        let Some(next) = solve(points, &x, sigma, views) else { return terms };
         x = next;
     }
     terms.copy_from_slice(&x.as_slice()[views..]);
-    (terms, sigma)
+    terms
 }
 
 /// Sightings of some of the vertices that several views see.
@@ -268,7 +262,7 @@ mod tests {
 
     #[test]
     fn a_known_light_is_found_among_albedos_exposures_and_outliers() {
-        let (found, _) = moving(&lit(1500, 14), 14);
+        let found = moving(&lit(1500, 14), 14);
         // What no camera sees doesn't matter, nor does a constant.
         let seen: Vec<f64> = directions(3000)
             .filter(|n| n.z < -0.3)
@@ -282,6 +276,6 @@ mod tests {
 
     #[test]
     fn a_single_view_tells_nothing() {
-        assert_eq!(moving(&lit(300, 1), 1).0, [0.0; TERMS]);
+        assert_eq!(moving(&lit(300, 1), 1), [0.0; TERMS]);
     }
 }

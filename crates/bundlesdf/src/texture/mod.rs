@@ -11,7 +11,6 @@ mod blend;
 mod color;
 mod fill;
 mod light;
-mod normals;
 mod paint;
 mod polynomial;
 mod render;
@@ -122,7 +121,7 @@ pub struct TextureStats {
 /// Paints `mesh` (object frame, metres) with what `views` saw of it.
 ///
 /// The method: an atlas; the light as a spherical polynomial of the normal (after Basri and Jacobs, "Lambertian
-/// Reflectance and Linear Subspaces", PAMI 2003), by normals smoothed as far as that explains it better; a last photometric correction of the poses; visibility by a depth
+/// Reflectance and Linear Subspaces", PAMI 2003); a last photometric correction of the poses; visibility by a depth
 /// buffer of the mesh and the measured depth; per-view gains by least squares over what several views saw; and a mean of
 /// the views, weighted by angle, resolution, sharpness, depth residual and distance from the mask's border, in which views
 /// of other colours than most have no part (after Callieri et al., "Masked photo blending", Computers & Graphics 2008).
@@ -154,8 +153,7 @@ pub fn bake(mesh: &TriMesh, views: &[View], options: &TextureOptions) -> Result<
     let layout = atlas::unwrap(&mesh, options)?;
     let mut prepared = view::prepare(&mesh, views);
     let mut shifts_mm = vec![0.0; views.len()];
-    let shape = normals::for_shading(&mesh, &prepared);
-    let points = sample::spread(&shape, POINTS);
+    let points = sample::spread(&mesh, POINTS);
     let mut light = Light::estimate(&points, &prepared);
     if options.align {
         let corrections = align::corrections(&points, &prepared, &light);
@@ -163,7 +161,7 @@ pub fn bake(mesh: &TriMesh, views: &[View], options: &TextureOptions) -> Result<
         shifts_mm = corrections.iter().map(|c| shift_mm(&mesh, c)).collect();
         light = Light::estimate(&points, &prepared);
     }
-    let vertices = sample::vertices(&shape);
+    let vertices = sample::vertices(&mesh);
     let mut sightings = sample::sightings(&vertices, &prepared);
     light.remove(&vertices, &prepared, &mut sightings);
     let gains = color::gains(&sightings, views.len());
