@@ -307,3 +307,29 @@ fn every_instruction_set_agrees_with_double_precision() {
         }
     }
 }
+
+/// What an earlier tile has left in the buffers is gone where no sample has a gradient.
+#[test]
+fn tiles_without_gradients_leave_none() {
+    let p = problem(None, 20);
+    let weights = p.weights.clone();
+    let flipped = p.networks.flip_all(&weights);
+    let (grid, networks) = (&p.grid, &p.networks);
+    let model = &Model { grid, networks, weights: &weights, flipped: &flipped, truncation: 0.3 };
+    let poses = &p.poses.ray_poses::<f64>();
+    let mut tile = p.tiles[0].clone();
+    let scratch = &mut Scratch::new(tile.lanes, tile.central, networks);
+    let mut out = TileGradient::new(tile.lanes, tile.central, networks);
+    let mut grad = vec![0.0; networks.len];
+    Baseline::call(RunTile { model, poses, tile: &tile, scratch, out: &mut out, grad: &mut grad });
+    Baseline::call(FinishTiles { model, scratch, grad: &mut grad });
+    assert!(out.enc.iter().chain(out.twist.as_flattened()).chain(&grad).any(|v| *v != 0.0));
+    for weights in [&mut tile.w_surface, &mut tile.w_empty, &mut tile.w_uncertain] {
+        weights.fill(0.0);
+    }
+    (tile.has_color, tile.has_eikonal) = (false, false);
+    grad.fill(0.0);
+    Baseline::call(RunTile { model, poses, tile: &tile, scratch, out: &mut out, grad: &mut grad });
+    Baseline::call(FinishTiles { model, scratch, grad: &mut grad });
+    assert!(out.enc.iter().chain(out.twist.as_flattened()).chain(&grad).all(|v| *v == 0.0));
+}

@@ -10,7 +10,7 @@ use super::device::Gpu;
 use super::round::GpuRound;
 use crate::cpu::CpuRound;
 use crate::error::FieldError;
-use crate::pass::RunTile;
+use crate::pass::{FinishTiles, RunTile};
 use crate::round::Engine;
 use crate::sampler::Buffers;
 use crate::scatter::{Scatter, Vertices};
@@ -132,6 +132,7 @@ fn cpu_gradients(cpu: &CpuRound, step: usize) -> Gradients {
         let mut out = TileGradient::new(lanes, central, &engine.networks);
         let (model, poses, tile, scratch) = (&model, &poses, &tile, &mut scratch);
         Set::best().call(RunTile { model, poses, tile, scratch, out: &mut out, grad: &mut weights });
+        Set::best().call(FinishTiles { model, scratch, grad: &mut weights });
         for r in 0..RAYS {
             twists[out.frame[r]] += Vector6::from(out.twist[r].map(f64::from));
         }
