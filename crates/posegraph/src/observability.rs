@@ -2,7 +2,8 @@
 //!
 //! Noise in normals ties down every motion a little, also those along which a surface slides on itself (Gelfand and
 //! Guibas, "Shape segmentation using local slippage analysis", 2004): where the true normals are at right angles to the
-//! motion, the measured ones aren't. A direction is believed as far as its information exceeds what that noise gives;
+//! motion, the measured ones aren't. A direction is believed as far as its information, with matches as off together by a
+//! few millimetres, exceeds what that noise gives;
 //! for the rest the pose keeps to its prediction, as in Zhang, Kaess and Singh, "On degeneracy of optimization-based
 //! state estimation problems" (ICRA 2016), but without a threshold at which it jumps.
 
@@ -45,7 +46,7 @@ impl Direction {
     }
 }
 
-/// How well one node's pose is observed, the other nodes given: six motions, least information first. They are at right
+/// How well one node's pose is observed, the other nodes given: six motions, least observed first. They are at right
 /// angles to each other where length is the way of a typical point.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Observability {
