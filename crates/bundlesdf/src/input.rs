@@ -20,7 +20,7 @@ pub enum VideoInput {
     Folder {
         /// The folder.
         path: PathBuf,
-        /// `first`, `all`, `none`, or a folder of masks.
+        /// `first`, `all`, or a folder of masks.
         masks: String,
         /// The first frame's mask, when it isn't `masks/<first frame>.png`.
         #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -60,13 +60,26 @@ impl VideoInput {
     /// # Errors
     /// When it isn't there any more or can't be read; the message names the file.
     pub fn open(&self) -> Result<Arc<dyn FrameSource>, Error> {
+        self.open_with(true)
+    }
+
+    /// Opens the video for work with the masks that a run has written: its own may be gone.
+    ///
+    /// # Errors
+    /// As [`Self::open`].
+    pub fn open_without_masks(&self) -> Result<Arc<dyn FrameSource>, Error> {
+        self.open_with(false)
+    }
+
+    fn open_with(&self, with_masks: bool) -> Result<Arc<dyn FrameSource>, Error> {
+        let mask_source = |text: &str| if with_masks { mask_source(text) } else { MaskSource::None };
         Ok(match self {
             Self::Folder { path, masks, first_mask, stride, depth_scale } => {
                 let options = CustomOptions {
                     masks: mask_source(masks),
                     depth_scale: *depth_scale,
                     stride: *stride,
-                    first_mask: first_mask.clone(),
+                    first_mask: first_mask.clone().filter(|_| with_masks),
                 };
                 Arc::new(CustomFolder::open(path, &options)?)
             }
@@ -90,18 +103,6 @@ impl VideoInput {
         })
     }
 
-    /// The same video without masks, for work with those that a run has written.
-    #[must_use]
-    pub fn without_masks(&self) -> Self {
-        let mut input = self.clone();
-        match &mut input {
-            Self::Folder { masks, first_mask, .. } => (*masks, *first_mask) = (NO_MASKS.to_owned(), None),
-            Self::Dataset { masks, .. } => *masks = NO_MASKS.to_owned(),
-            Self::Synthetic { .. } => {}
-        }
-        input
-    }
-
     /// What to call the video in reports.
     #[must_use]
     pub fn name(&self) -> String {
@@ -115,16 +116,12 @@ impl VideoInput {
     }
 }
 
-/// What [`VideoInput`] and the command line call no masks.
-const NO_MASKS: &str = "none";
-
-/// `first`, `all`, `none`, or a folder.
+/// `first`, `all`, or a folder.
 #[must_use]
 pub fn mask_source(text: &str) -> MaskSource {
     match text {
         "first" => MaskSource::First,
         "all" => MaskSource::All,
-        NO_MASKS => MaskSource::None,
         folder => MaskSource::Folder(PathBuf::from(folder)),
     }
 }

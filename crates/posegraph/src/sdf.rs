@@ -4,8 +4,7 @@ use nalgebra::{Isometry3, Matrix6, Vector6};
 
 use crate::graph::{SdfModel, SdfTerm};
 use crate::jacobian::{RowSums, direction_row, huber};
-use crate::normal::NormalEquations;
-use crate::normal::Own;
+use crate::normal::{NormalEquations, Own};
 use crate::observability::{Observability, noise_information};
 use crate::options::SolveOptions;
 use crate::stats::{Extent, Residuals};

@@ -22,7 +22,7 @@ pub(super) fn draw(args: &DrawArgs, log: Log) -> anyhow::Result<ExitCode> {
     let input = report.input.as_ref().context(
         "run.json doesn't say where the frames came from (a program fed them); draw in that program instead",
     )?;
-    let source = input.without_masks().open()?;
+    let source = input.open_without_masks()?;
     let artist =
         Artist { args, overlay: Overlay::open(&folder)?, folder: &folder, report: &report, source: &source };
     let mut film = args.video.as_ref().map(|path| Animation::create(path, args.fps)).transpose()?;

@@ -26,22 +26,21 @@ pub(super) struct RefineArgs {
     /// Training steps of each of the two rounds of the field, instead of what the run's config says.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=100_000))]
     steps: Option<u32>,
-    /// Edge of a marching-cubes cell.
-    #[arg(long, value_name = "METRES", default_value_t = RefineOptions::SPACING)]
-    spacing: f32,
+    /// Edge of a marching-cubes cell, instead of four fifths of the run's `mesh.spacing`.
+    #[arg(long, value_name = "METRES")]
+    spacing: Option<f32>,
 }
 
 /// Refines a run and prints what changed.
 pub(super) fn refine(args: &RefineArgs, log: Log) -> anyhow::Result<ExitCode> {
-    anyhow::ensure!(
-        args.spacing.is_finite() && args.spacing > 0.0,
-        "--spacing must be above 0 metres, is {}",
-        args.spacing
-    );
+    if let Some(spacing) = args.spacing {
+        let usable = spacing.is_finite() && spacing > 0.0;
+        anyhow::ensure!(usable, "--spacing must be above 0 metres, is {spacing}");
+    }
     let folder = OutputFolder::open(&args.out)?;
     let report = folder.read_report()?;
-    let mut options =
-        RefineOptions { close: args.close, spacing: args.spacing, ..RefineOptions::of(&report.config) };
+    let mut options = RefineOptions { close: args.close, ..RefineOptions::of(&report.config) };
+    options.spacing = args.spacing.unwrap_or(options.spacing);
     if let Some(steps) = args.steps {
         options.field.steps = steps as usize;
     }
@@ -96,7 +95,7 @@ fn improve(
         format!("{folder}: run.json doesn't say where the video is; run it again with `bundlesdf run`")
     })?;
     // The run has a mask for every frame; those of the video may not be there any more.
-    let source = input.without_masks().open()?;
+    let source = input.open_without_masks()?;
     let bar = Bar::new(log);
     let refined = refine_run(folder, &*source, options, stop, &|at| bar.show(at));
     bar.0.finish_and_clear();

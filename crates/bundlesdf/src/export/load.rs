@@ -25,7 +25,7 @@ pub fn load(folder: &OutputFolder) -> Result<(TriMesh, Vec<View>), Error> {
         let remedy = "export it from the program that fed the frames, with bundlesdf::export::build";
         Error::new(folder.path(), "doesn't say which video it was made from", remedy)
     })?;
-    let source = input.without_masks().open()?;
+    let source = input.open_without_masks()?;
     let step = keyframes.len().div_ceil(MOST_VIEWS).max(1);
     let views = keyframes.iter().step_by(step).map(|keyframe| {
         let frame = source.frame(keyframe.index)?;

@@ -50,7 +50,7 @@ pub(super) fn draw_overlays(
         let problem = "The run doesn't say where its frames came from: they were fed by a program.";
         return Overlays { problem: Some(problem.into()), ..Overlays::default() };
     };
-    let source = match input.without_masks().open() {
+    let source = match input.open_without_masks() {
         Ok(source) => source,
         Err(error) => {
             let problem = format!("The video can't be opened any more: {error}");

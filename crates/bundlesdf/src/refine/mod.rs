@@ -32,13 +32,12 @@ pub struct RefineOptions {
 }
 
 impl RefineOptions {
-    /// Edge of a marching-cubes cell where nothing else is asked for (metres).
-    pub const SPACING: f32 = 0.002;
-
-    /// What the config of a run asks for.
+    /// What the config of a run asks for; the mesh is a little finer than the run's.
     pub fn of(config: &Config) -> Self {
+        /// Edge of a marching-cubes cell over that of the run's mesh.
+        const FINER: f32 = 0.8;
         let field = FieldConfig { steps: config.field.refine_steps, ..FieldConfig::refine() };
-        Self { field, close: false, spacing: Self::SPACING }
+        Self { field, close: false, spacing: FINER * config.mesh.spacing }
     }
 }
 
