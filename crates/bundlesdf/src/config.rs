@@ -146,9 +146,6 @@ pub struct MemoryConfig {
     pub capacity: usize,
     /// Memory frames in the pose graph, beside the new frame (K in the paper).
     pub selected: usize,
-    /// How much the memory frames are spread: 0 takes the nearest, 1 weighs the distance to those already taken as much
-    /// as that to the new frame.
-    pub diversity: f64,
     /// Least share of a keyframe's points that face the new camera (paper: 0.1).
     pub min_visible: f64,
     /// Largest angle between a point's normal and its viewing ray to count as visible (degrees).
@@ -165,7 +162,6 @@ impl Default for MemoryConfig {
             replace_ratio: 1.5,
             capacity: 64,
             selected: 10,
-            diversity: 0.0,
             min_visible: 0.1,
             visible_deg: 70.0,
         }
@@ -434,7 +430,6 @@ impl Config {
         between("memory.visible_deg", m.visible_deg, 0.0..=90.0)?;
         between("memory.replace_ratio", m.replace_ratio, 1.0..=1e6)?;
         within("memory.capacity", m.capacity, 2..=1000)?;
-        between("memory.diversity", m.diversity, 0.0..=1.0)?;
         within("memory.selected", m.selected, 1..=15)?;
         within("graph.iterations", g.iterations, 1..=100)?;
         for (name, weight) in [
@@ -484,7 +479,6 @@ mod tests {
             ("preprocess", "grazing_deg"),
             ("memory", "min_valid_share"),
             ("memory", "replace_ratio"),
-            ("memory", "diversity"),
             ("memory", "min_visible"),
             ("memory", "visible_deg"),
             ("graph", "feature_weight"),

@@ -176,24 +176,24 @@ impl MemoryPool {
         self.spread(visible, config)
     }
 
-    /// At most K of `visible`, swing angles to a new frame and positions: the nearest first, then always the one whose
-    /// distance exceeds its share of the distance to the nearest of those taken by the least (maximal marginal relevance,
-    /// Carbonell and Goldstein 1998), so that baselines point in several directions.
+    /// At most K of `visible`, positions of keyframes with their swing angles to a new frame: the nearest first, without
+    /// those that show the side of one taken before (within half the minimum swing, where poses moved together); these
+    /// only fill places that would stay empty.
     fn spread(&self, mut visible: Vec<(f64, usize)>, config: &MemoryConfig) -> Vec<usize> {
-        let mut chosen = Vec::with_capacity(config.selected);
-        let mut apart = vec![0.0; self.keyframes.len()];
-        while chosen.len() < config.selected && !visible.is_empty() {
-            let cost = |(near, i): &(f64, usize)| near - config.diversity * apart[*i];
-            let order = |a: &usize, b: &usize| cost(&visible[*a]).total_cmp(&cost(&visible[*b]));
-            let Some(next) = (0..visible.len()).min_by(order) else { break };
-            let (_, taken) = visible.swap_remove(next);
-            let rotation = &self.keyframes[taken].obj_from_cam.rotation;
-            for (_, i) in &visible {
-                let angle = swing_angle(rotation, &self.keyframes[*i].obj_from_cam.rotation);
-                apart[*i] = if chosen.is_empty() { angle } else { angle.min(apart[*i]) };
+        visible.sort_unstable_by(|a, b| a.0.total_cmp(&b.0));
+        let half = 0.5 * config.min_swing_deg.to_radians();
+        let (mut chosen, mut doubles) = (Vec::with_capacity(config.selected), Vec::new());
+        for (_, i) in visible {
+            if chosen.len() == config.selected {
+                break;
             }
-            chosen.push(taken);
+            let own = &self.keyframes[i].obj_from_cam;
+            let doubled =
+                chosen.iter().any(|c: &usize| view_angle(&self.keyframes[*c], own, config.rule) < half);
+            (if doubled { &mut doubles } else { &mut chosen }).push(i);
         }
+        let free = config.selected - chosen.len();
+        chosen.extend(doubles.into_iter().take(free));
         chosen.sort_unstable();
         chosen
     }
@@ -320,15 +320,18 @@ mod tests {
     }
 
     #[test]
-    fn diverse_views_come_from_several_sides() {
-        let nearest = MemoryConfig { selected: 3, diversity: 0.0, ..MemoryConfig::default() };
-        // Two on one side, one a little farther on the other.
+    fn no_side_is_selected_twice_while_others_are_visible() {
+        let config = MemoryConfig { selected: 3, ..MemoryConfig::default() };
         let (y, new) = ([0.0, 1.0, 0.0], Isometry3::identity());
-        let poses: Vec<_> = [40.0, 5.0, 6.0, 7.0, -8.0].map(|d| pose(y, d)).to_vec();
-        let pool = pool(&poses, &nearest);
-        assert_eq!(pool.select(&new, &nearest), vec![1, 2, 3]);
-        // After 5 and -8 degrees, 7 costs 7 - 0.5 * 2 and 6 costs 6 - 0.5 * 1.
-        assert_eq!(pool.select(&new, &MemoryConfig { diversity: 0.5, ..nearest }), vec![1, 2, 4]);
+        let select = |degrees: &[f64]| {
+            let poses: Vec<_> = degrees.iter().map(|d| pose(y, *d)).collect();
+            pool(&poses, &config).select(&new, &config)
+        };
+        // 6 and 7 degrees are the side of 5, -8 and 40 are others; the nearest three would be 5, 6 and 7.
+        assert_eq!(select(&[40.0, 5.0, 6.0, 7.0, -8.0]), vec![0, 1, 4]);
+        assert_eq!(select(&[40.0, 5.0, 10.0, 7.0, -8.0]), vec![1, 2, 4]);
+        // Where there is no third side the nearest double takes the place.
+        assert_eq!(select(&[5.0, 6.0, 7.0, -8.0]), vec![0, 1, 3]);
     }
 
     #[test]
