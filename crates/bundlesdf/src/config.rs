@@ -137,6 +137,11 @@ pub struct MemoryConfig {
     pub min_swing_deg: f64,
     /// Fewest depth pixels of a keyframe, as a share of the first frame's.
     pub min_valid_share: f64,
+    /// A keyframe gives way to a frame of the same side that is this many times as good ([`Quality::over`]). Each time
+    /// that a side changes its keyframe the next has to be so much better again.
+    ///
+    /// [`Quality::over`]: crate::Quality::over
+    pub replace_ratio: f64,
     /// Most keyframes kept.
     pub capacity: usize,
     /// Memory frames in the pose graph, beside the new frame (K in the paper).
@@ -154,6 +159,7 @@ impl Default for MemoryConfig {
             rule: KeyframeRule::Compact,
             min_swing_deg: 5.0,
             min_valid_share: 0.1,
+            replace_ratio: 1.5,
             capacity: 64,
             selected: 10,
             min_visible: 0.1,
@@ -422,6 +428,7 @@ impl Config {
         between("memory.min_valid_share", m.min_valid_share, 0.0..=1.0)?;
         between("memory.min_visible", m.min_visible, 0.0..=1.0)?;
         between("memory.visible_deg", m.visible_deg, 0.0..=90.0)?;
+        between("memory.replace_ratio", m.replace_ratio, 1.0..=1e6)?;
         within("memory.capacity", m.capacity, 2..=1000)?;
         within("memory.selected", m.selected, 1..=15)?;
         within("graph.iterations", g.iterations, 1..=100)?;
@@ -471,6 +478,7 @@ mod tests {
             ("mesh", "spacing"),
             ("preprocess", "grazing_deg"),
             ("memory", "min_valid_share"),
+            ("memory", "replace_ratio"),
             ("memory", "min_visible"),
             ("memory", "visible_deg"),
             ("graph", "feature_weight"),

@@ -42,6 +42,7 @@ mod link;
 pub mod observation;
 pub mod output;
 mod pool;
+mod quality;
 mod raster;
 pub mod refine;
 pub mod report;
@@ -63,6 +64,7 @@ pub use input::VideoInput;
 pub use observation::{Observation, Unusable};
 pub use output::OutputFolder;
 pub use pool::{Keyframe, MemoryPool};
+pub use quality::Quality;
 pub use report::{KeyframeReport, RoundReport, RunReport};
 pub use segmenter::SegmenterChoice;
 pub use tracker::{

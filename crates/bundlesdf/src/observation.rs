@@ -18,12 +18,13 @@ use rgbd_io::{Image, Intrinsics, Mask, RgbdFrame};
 use crate::{
     config::{Config, PreprocessConfig},
     depth,
+    quality::Quality,
     zoom::{zoom_bilinear, zoom_for, zoom_nearest},
 };
 
 /// Pixels around the mask's box that stay in the crop: context for point tracks and for the field's ring rays.
 const MARGIN_SHARE: f64 = 0.18;
-const MIN_MARGIN: usize = 12;
+pub(crate) const MIN_MARGIN: usize = 12;
 /// Points with normals that stand for the whole cloud in visibility tests.
 const SAMPLES: usize = 600;
 
@@ -60,6 +61,7 @@ pub struct Observation {
     corners: OnceLock<Vec<[f32; 2]>>,
     features: OnceLock<Features>,
     wide_features: OnceLock<Features>,
+    quality: OnceLock<Quality>,
 }
 
 /// Why a frame shows too little of the object to be tracked.
@@ -145,6 +147,7 @@ impl Observation {
             corners: OnceLock::new(),
             features: OnceLock::new(),
             wide_features: OnceLock::new(),
+            quality: OnceLock::new(),
         })
     }
 
@@ -171,6 +174,11 @@ impl Observation {
     /// The features that a network finds in the crop as it is, computed by `detect` on first use.
     pub(crate) fn wide_features(&self, detect: impl FnOnce() -> Features) -> &Features {
         self.wide_features.get_or_init(detect)
+    }
+
+    /// How well the object is shown, measured on first use.
+    pub fn quality(&self) -> &Quality {
+        self.quality.get_or_init(|| Quality::of(self))
     }
 
     /// Point and normal at a sub-pixel position: bilinear where the four pixels lie on one surface, else nearest.
@@ -463,7 +471,7 @@ pub(crate) mod tests {
         }
     }
 
-    fn flat_frame(width: usize, height: usize) -> (RgbdFrame, Mask) {
+    pub(crate) fn flat_frame(width: usize, height: usize) -> (RgbdFrame, Mask) {
         let frame = RgbdFrame {
             id: "0".into(),
             color: Image::from_fn(width, height, |x, y| [(x * 7 % 251) as u8, (y * 13 % 241) as u8, 90]),

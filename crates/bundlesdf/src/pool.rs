@@ -72,11 +72,25 @@ impl MemoryPool {
     /// (roll about the optical axis shows nothing new).
     pub fn is_new_view(&self, obj_from_cam: &Isometry3<f64>, config: &MemoryConfig) -> bool {
         let least = config.min_swing_deg.to_radians();
-        let angle = |k: &Keyframe| match config.rule {
-            KeyframeRule::Compact => swing_angle(&k.obj_from_cam.rotation, &obj_from_cam.rotation),
-            KeyframeRule::FullRotation => rotation_angle(&k.obj_from_cam.rotation, &obj_from_cam.rotation),
-        };
-        self.keyframes.iter().all(|k| angle(k) >= least)
+        self.keyframes.iter().all(|k| view_angle(k, obj_from_cam, config.rule) >= least)
+    }
+
+    /// Position of the keyframe that `observation`, at `obj_from_cam` and no new view, does better than: the nearest,
+    /// which shows the same side within half the minimum angle, unless it is the anchor. No other is as near, so that
+    /// the pool covers what it did.
+    pub(crate) fn worse_view(
+        &self,
+        observation: &Observation,
+        obj_from_cam: &Isometry3<f64>,
+        config: &MemoryConfig,
+    ) -> Option<usize> {
+        let half = 0.5 * config.min_swing_deg.to_radians();
+        let is_near = |k: &Keyframe| view_angle(k, obj_from_cam, config.rule) < half;
+        let mut near = self.keyframes.iter().enumerate().filter(|(_, k)| is_near(k));
+        let (position, keyframe) = near.next().filter(|(position, _)| *position > 0)?;
+        let is_alone = near.next().is_none();
+        let better = || observation.quality().over(keyframe.observation.quality());
+        (is_alone && better() >= config.replace_ratio).then_some(position)
     }
 
     /// A pool of these keyframes, oldest first, and these matches, by frame index.
@@ -109,6 +123,24 @@ impl MemoryPool {
         }
     }
 
+    /// Puts `keyframe`, with its matches to others, in the place of the one at `position`, whose matches go with it.
+    pub(crate) fn replace(
+        &mut self,
+        position: usize,
+        keyframe: Keyframe,
+        edges: impl IntoIterator<Item = (usize, MemoryEdge)>,
+    ) {
+        let newer = keyframe.index;
+        self.edges.extend(edges.into_iter().map(|(older, edge)| ((older, newer), edge)));
+        self.keyframes.push(keyframe);
+        self.forget(position);
+    }
+
+    fn forget(&mut self, position: usize) {
+        let gone = self.keyframes.remove(position).index;
+        self.edges.retain(|(a, b), _| *a != gone && *b != gone);
+    }
+
     /// Removes the keyframe whose nearest neighbour is nearest; never the anchor nor the newest.
     fn forget_most_redundant(&mut self) {
         let spread = |i: usize| {
@@ -118,8 +150,7 @@ impl MemoryPool {
         };
         let candidates = 1..self.keyframes.len().saturating_sub(1);
         if let Some(worst) = candidates.min_by(|a, b| spread(*a).total_cmp(&spread(*b))) {
-            let gone = self.keyframes.remove(worst).index;
-            self.edges.retain(|(a, b), _| *a != gone && *b != gone);
+            self.forget(worst);
         }
     }
 
@@ -132,7 +163,7 @@ impl MemoryPool {
         if config.rule == KeyframeRule::FullRotation {
             return self.select_nearest_set(obj_from_cam, config.selected);
         }
-        let mut visible: Vec<(f64, usize)> = self
+        let visible: Vec<(f64, usize)> = self
             .keyframes
             .iter()
             .enumerate()
@@ -142,9 +173,27 @@ impl MemoryPool {
             })
             .map(|(i, k)| (swing_angle(&k.obj_from_cam.rotation, &obj_from_cam.rotation), i))
             .collect();
+        self.spread(visible, config)
+    }
+
+    /// At most K of `visible`, positions of keyframes with their swing angles to a new frame: the nearest first, without
+    /// those that show the side of one taken before (within half the minimum swing, where poses moved together); these
+    /// only fill places that would stay empty.
+    fn spread(&self, mut visible: Vec<(f64, usize)>, config: &MemoryConfig) -> Vec<usize> {
         visible.sort_unstable_by(|a, b| a.0.total_cmp(&b.0));
-        visible.truncate(config.selected);
-        let mut chosen: Vec<usize> = visible.into_iter().map(|(_, i)| i).collect();
+        let half = 0.5 * config.min_swing_deg.to_radians();
+        let (mut chosen, mut doubles) = (Vec::with_capacity(config.selected), Vec::new());
+        for (_, i) in visible {
+            if chosen.len() == config.selected {
+                break;
+            }
+            let own = &self.keyframes[i].obj_from_cam;
+            let doubled =
+                chosen.iter().any(|c: &usize| view_angle(&self.keyframes[*c], own, config.rule) < half);
+            (if doubled { &mut doubles } else { &mut chosen }).push(i);
+        }
+        let free = config.selected - chosen.len();
+        chosen.extend(doubles.into_iter().take(free));
         chosen.sort_unstable();
         chosen
     }
@@ -196,6 +245,15 @@ impl MemoryPool {
     }
 }
 
+/// How differently (radians) a camera at `obj_from_cam` sees the object, by the rule for new views.
+fn view_angle(keyframe: &Keyframe, obj_from_cam: &Isometry3<f64>, rule: KeyframeRule) -> f64 {
+    let (a, b) = (&keyframe.obj_from_cam.rotation, &obj_from_cam.rotation);
+    match rule {
+        KeyframeRule::Compact => swing_angle(a, b),
+        KeyframeRule::FullRotation => rotation_angle(a, b),
+    }
+}
+
 /// Moves `obj_from_cam` rigidly with a keyframe whose pose went from `old` to `new`: their relative motion stays.
 pub(crate) fn carry(
     old: &Isometry3<f64>,
@@ -208,6 +266,7 @@ pub(crate) fn carry(
 #[cfg(test)]
 mod tests {
     use nalgebra::{UnitQuaternion, Vector3};
+    use rgbd_io::Image;
 
     use super::*;
     use crate::observation::tests::flat_observation;
@@ -258,6 +317,64 @@ mod tests {
         let config = MemoryConfig { selected: 2, ..MemoryConfig::default() };
         let poses: Vec<_> = [0.0, 20.0, 40.0, 170.0].map(|d| pose([0.0, 1.0, 0.0], d)).to_vec();
         assert_eq!(pool(&poses, &config).select(&pose([0.0, 1.0, 0.0], 25.0), &config), vec![1, 2]);
+    }
+
+    #[test]
+    fn no_side_is_selected_twice_while_others_are_visible() {
+        let config = MemoryConfig { selected: 3, ..MemoryConfig::default() };
+        let (y, new) = ([0.0, 1.0, 0.0], Isometry3::identity());
+        let select = |degrees: &[f64]| {
+            let poses: Vec<_> = degrees.iter().map(|d| pose(y, *d)).collect();
+            pool(&poses, &config).select(&new, &config)
+        };
+        // 6 and 7 degrees are the side of 5, -8 and 40 are others; the nearest three would be 5, 6 and 7.
+        assert_eq!(select(&[40.0, 5.0, 6.0, 7.0, -8.0]), vec![0, 1, 4]);
+        assert_eq!(select(&[40.0, 5.0, 10.0, 7.0, -8.0]), vec![1, 2, 4]);
+        // Where there is no third side the nearest double takes the place.
+        assert_eq!(select(&[5.0, 6.0, 7.0, -8.0]), vec![0, 1, 3]);
+    }
+
+    #[test]
+    fn only_a_clearly_worse_view_of_the_same_side_gives_way() {
+        use crate::{config::Config, observation::tests::flat_frame};
+        let config = MemoryConfig::default();
+        let y = [0.0, 1.0, 0.0];
+        let poses: Vec<_> = [0.0, 10.0, 20.0].map(|d| pose(y, d)).to_vec();
+        // The left half of the depth is missing in the worse one.
+        let (mut frame, mask) = flat_frame(160, 120);
+        let good = Arc::new(flat_observation());
+        frame.depth = Image::from_fn(160, 120, |x, _| if x < 80 { 0.0 } else { 0.5 });
+        let bad = Arc::new(Observation::new(0, &frame, &mask, &Config::default()).unwrap());
+        let worse = |at: usize, seen: &Arc<Observation>| {
+            let mut pool = pool(&poses, &config);
+            pool.keyframes_mut()[at].observation = bad.clone();
+            let find = |deg: f64| pool.worse_view(seen, &pose(y, deg), &config);
+            (find(10.0 * at as f64 + 1.0), find(10.0 * at as f64 + 3.0))
+        };
+        // Near it, and beyond half of the 5 degrees that make a new view; the anchor stays.
+        assert_eq!(worse(1, &good), (Some(1), None));
+        assert_eq!(worse(0, &good), (None, None));
+        assert_eq!(worse(1, &bad), (None, None));
+        // Nothing is gained where the keyframe is as good.
+        assert_eq!(pool(&poses, &config).worse_view(&good, &pose(y, 11.0), &config), None);
+        // Two that near are of the same side: the pool would keep one view twice.
+        let mut close = pool(&[poses[0], poses[1], pose(y, 11.0)], &config);
+        close.keyframes_mut()[1].observation = bad;
+        assert_eq!(close.worse_view(&good, &pose(y, 10.5), &config), None);
+    }
+
+    #[test]
+    fn a_replaced_keyframe_takes_its_matches_along() {
+        let config = MemoryConfig::default();
+        let poses: Vec<_> = [0.0, 10.0, 20.0].map(|d| pose([0.0, 1.0, 0.0], d)).to_vec();
+        let mut pool = pool(&poses, &config);
+        pool.edges = [((0, 1), MemoryEdge::default()), ((0, 2), MemoryEdge::default())].into();
+        let keyframe = Keyframe { index: 7, ..pool.keyframes()[1].clone() };
+        pool.replace(1, keyframe, [0, 1, 2].map(|older| (older, MemoryEdge::default())));
+        let kept: Vec<usize> = pool.keyframes().iter().map(|k| k.index).collect();
+        assert_eq!(kept, [0, 2, 7]);
+        let edges: Vec<_> = pool.all_edges().into_iter().map(|(key, _)| key).collect();
+        assert_eq!(edges, [(0, 2), (0, 7), (2, 7)]);
     }
 
     #[test]

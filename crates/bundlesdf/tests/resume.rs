@@ -9,7 +9,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use bundlesdf::{CheckpointError, Config, RunSoFar, Schedule, Tracker, continue_video};
+use bundlesdf::{CheckpointError, Config, RunSoFar, Schedule, Tracker, VideoRun, continue_video};
 use rgbd_io::{FrameSource, Image};
 use rgbd_synth::Masks;
 use support::{
@@ -22,7 +22,7 @@ fn builtin() -> Box<dyn mask_tracker::VideoSegmenter> {
 }
 
 /// Saves after each of `cuts` frames, restores, goes on to the end, and compares with the run that was not cut.
-fn cut_and_compare(video: &std::sync::Arc<Video>, config: &Config, cuts: &[usize]) {
+fn cut_and_compare(video: &std::sync::Arc<Video>, config: &Config, cuts: &[usize]) -> VideoRun {
     let whole = run(video.clone(), config, Schedule::Lockstep);
     for cut in cuts {
         let mut tracker = Tracker::new(config.clone(), Schedule::Lockstep).unwrap();
@@ -43,6 +43,7 @@ fn cut_and_compare(video: &std::sync::Arc<Video>, config: &Config, cuts: &[usize
         );
     }
     assert!(whole.reconstruction.field.rounds > 2 && whole.reconstruction.mesh.is_some());
+    whole
 }
 
 #[test]
@@ -56,6 +57,22 @@ fn with_masks_propagated_a_restored_tracker_goes_on_bit_for_bit() {
     // A loss on the way: its traces have to be saved too.
     frames[7].depth = Image::filled(320, 240, 0.0);
     cut_and_compare(&Video::of(frames), &small(), &[2, 8, 11]);
+}
+
+#[test]
+fn a_tracker_restored_around_a_replaced_keyframe_goes_on_bit_for_bit() {
+    const WORSE: usize = 6;
+    let mut frames = medium_frames(Masks::Every);
+    // The same view twice, the first time with depth in every other stripe.
+    let mut worse = frames[WORSE].clone();
+    let (width, height) = worse.depth.size();
+    worse.depth =
+        Image::from_fn(width, height, |x, y| if x / 4 % 2 == 0 { worse.depth[(x, y)] } else { 0.0 });
+    frames.insert(WORSE, worse);
+    let whole = cut_and_compare(&Video::of(frames), &small(), &[WORSE + 1, WORSE + 2]);
+    assert!(whole.frames[WORSE].keyframe && whole.frames[WORSE + 1].keyframe);
+    let kept: Vec<_> = whole.reconstruction.keyframes.iter().map(|k| k.index).collect();
+    assert!(!kept.contains(&WORSE) && kept.contains(&(WORSE + 1)) && kept[0] == 0, "{kept:?}");
 }
 
 #[test]

@@ -36,12 +36,11 @@ pub fn icp(source: &[[f64; 3]], target: &[[f64; 3]], options: &IcpOptions) -> Is
         let mut sum = 0.0;
         for p in source {
             let moved = target_from_source * Point3::from(*p);
-            let Some((i, distance)) = index.nearest(&moved.into()) else { continue };
-            if distance <= options.max_distance {
-                from.push(moved);
-                to.push(Point3::from(target[i]));
-                sum += distance * distance;
-            }
+            let near = index.nearest_within(&moved.into(), options.max_distance);
+            let Some((i, distance)) = near else { continue };
+            from.push(moved);
+            to.push(Point3::from(target[i]));
+            sum += distance * distance;
         }
         let Some(step) = se3_lie::align::rigid_alignment(&from, &to, None) else { break };
         target_from_source = step * target_from_source;

@@ -66,7 +66,7 @@ pub use image::{Image, Mask};
 pub use intrinsics::Intrinsics;
 pub use read_ahead::ReadAhead;
 pub use registration::{Registration, Shift};
-pub use sharpness::{BLURRED, sharpness};
+pub use sharpness::{BLURRED, gray_sharpness, sharpness};
 
 #[cfg(feature = "codecs")]
 pub use codec::{

@@ -18,23 +18,32 @@ pub const BLURRED: f64 = 0.028;
 /// the latter. `None` with too few edges in either direction, and when the sizes differ.
 #[must_use]
 pub fn sharpness(color: &Image<[u8; 3]>, mask: &Mask) -> Option<f64> {
-    let (w, h) = mask.size();
-    if color.size() != (w, h) || w <= SPAN || h <= SPAN {
-        return None;
-    }
     let gray = color.map(|c| {
-        let [r, g, b] = c.map(f64::from);
+        let [r, g, b] = c.map(f32::from);
         0.3 * r + 0.6 * g + 0.1 * b
     });
+    gray_sharpness(&gray, mask, 1)
+}
+
+/// [`sharpness`] of a gray image (0 to 255) of which `zoom` pixels are one of the sensor's.
+#[must_use]
+pub fn gray_sharpness(gray: &Image<f32>, mask: &Mask, zoom: usize) -> Option<f64> {
+    let ((w, h), span) = (mask.size(), SPAN * zoom);
+    if gray.size() != (w, h) || zoom == 0 || w <= span || h <= span {
+        return None;
+    }
     let along = |dx: usize, dy: usize| {
         let (mut near, mut far, mut count) = (0.0, 0.0, 0usize);
-        for y in 0..h - SPAN * dy {
-            for x in 0..w - SPAN * dx {
+        for y in (0..h - span * dy).step_by(zoom) {
+            for x in (0..w - span * dx).step_by(zoom) {
+                let there = (x + span * dx, y + span * dy);
+                if mask[(x, y)] == 0 || mask[there] == 0 {
+                    continue;
+                }
                 let here = gray[(x, y)];
-                let across = gray[(x + SPAN * dx, y + SPAN * dy)] - here;
-                let inside = mask[(x, y)] != 0 && mask[(x + SPAN * dx, y + SPAN * dy)] != 0;
-                if inside && across.abs() > CONTRAST {
-                    near += (gray[(x + dx, y + dy)] - here).powi(2);
+                let across = f64::from(gray[there] - here);
+                if across.abs() > CONTRAST {
+                    near += f64::from(gray[(x + zoom * dx, y + zoom * dy)] - here).powi(2);
                     far += across * across;
                     count += 1;
                 }
@@ -66,5 +75,14 @@ mod tests {
         assert_eq!(sharpness(&Image::filled(128, 96, [90; 3]), &mask), None);
         assert_eq!(sharpness(&board(1), &Image::filled(128, 96, 0)), None);
         assert_eq!(sharpness(&board(1), &Image::filled(12, 9, 255)), None);
+    }
+
+    #[test]
+    fn an_enlarged_image_is_as_sharp() {
+        let gray = board(3).map(|c| f32::from(c[0]));
+        let large = Image::from_fn(256, 192, |x, y| gray[(x / 2, y / 2)]);
+        let small = gray_sharpness(&gray, &Image::filled(128, 96, 255), 1);
+        assert!(small.is_some());
+        assert_eq!(gray_sharpness(&large, &Image::filled(256, 192, 255), 2), small);
     }
 }

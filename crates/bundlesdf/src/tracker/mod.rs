@@ -257,7 +257,7 @@ impl Tracker {
         self.reference = Some(Reference { index, observation: observation.clone(), pose: obj_from_cam });
         self.note_observation(&observation);
         self.motion.observe(index, &obj_from_cam);
-        self.remember(frame, index, obj_from_cam, observation, Vec::new());
+        self.remember(new_keyframe(frame, index, obj_from_cam, observation), Vec::new(), None);
         FrameResult {
             index,
             id: frame.id.clone(),
@@ -412,11 +412,15 @@ impl Tracker {
         self.note_observation(&observation);
         self.motion.observe(index, &pose);
         let believed = status == Status::Tracked || (status == Status::Weak && share >= UNDISPUTED);
-        let keyframe = self.config.memory.enabled
+        let memory = &self.config.memory;
+        let useful = memory.enabled
             && believed
             && !self.adrift
-            && observation.valid as f64 >= self.config.memory.min_valid_share * self.first_valid as f64
-            && self.pool.is_new_view(&pose, &self.config.memory);
+            && observation.valid as f64 >= memory.min_valid_share * self.first_valid as f64;
+        let is_new = useful && self.pool.is_new_view(&pose, memory);
+        let certain = useful && !is_new && tied && status == Status::Tracked;
+        let worse = certain.then(|| self.pool.worse_view(&observation, &pose, memory)).flatten();
+        let keyframe = is_new || worse.is_some();
         let result = FrameResult {
             index,
             id: frame.id.clone(),
@@ -429,30 +433,24 @@ impl Tracker {
             times: StageTimes::default(),
         };
         if keyframe {
-            self.remember(frame, index, pose, observation, estimate.edges);
+            self.remember(new_keyframe(frame, index, pose, observation), estimate.edges, worse);
         } else if !self.config.memory.enabled {
-            let (id, refined_by_field) = (frame.id.clone(), false);
-            self.pool.replace_all(Keyframe { index, id, obj_from_cam: pose, refined_by_field, observation });
+            self.pool.replace_all(new_keyframe(frame, index, pose, observation));
             self.surface = fused_surface(&self.pool);
         }
         result
     }
 
-    fn remember(
-        &mut self,
-        frame: &RgbdFrame,
-        index: usize,
-        obj_from_cam: Isometry3<f64>,
-        observation: Arc<Observation>,
-        edges: Vec<(usize, MemoryEdge)>,
-    ) {
+    /// Adds a keyframe with its matches by position in the pool, in the place of the one at `worse` if there is one.
+    fn remember(&mut self, keyframe: Keyframe, edges: Vec<(usize, MemoryEdge)>, worse: Option<usize>) {
         let by_index: Vec<_> = edges
             .into_iter()
             .filter_map(|(position, edge)| Some((self.pool.keyframes().get(position)?.index, edge)))
             .collect();
-        let keyframe =
-            Keyframe { index, id: frame.id.clone(), obj_from_cam, refined_by_field: false, observation };
-        self.pool.add(keyframe, by_index, &self.config.memory);
+        match worse {
+            None => self.pool.add(keyframe, by_index, &self.config.memory),
+            Some(position) => self.pool.replace(position, keyframe, by_index),
+        }
         self.new_keyframes += 1;
         self.surface = fused_surface(&self.pool);
     }
@@ -532,6 +530,15 @@ impl Tracker {
             Err(_) => observation,
         }
     }
+}
+
+fn new_keyframe(
+    frame: &RgbdFrame,
+    index: usize,
+    obj_from_cam: Isometry3<f64>,
+    observation: Arc<Observation>,
+) -> Keyframe {
+    Keyframe { index, id: frame.id.clone(), obj_from_cam, refined_by_field: false, observation }
 }
 
 /// A frame's mask and where it comes from.
