@@ -22,10 +22,13 @@ impl SdfTerm<'_> {
     /// A model that was trained on this very frame repeats what it was told: its residuals, which are its errors, are no
     /// measurement of the pose, and frames that follow them drift together. The pose at which the training left the frame
     /// is one, and this is how much it weighs.
+    ///
+    /// How far the whole surface lies off along its normals is an unknown of its own that is eliminated: free space pushes
+    /// a field inwards a little everywhere, and frames that follow it shrink the object, each a step towards its middle.
     pub fn information(&self, obj_from_cam: &Isometry3<f64>, options: &SolveOptions) -> Matrix6<f64> {
         let mut unary = SdfUnary::new(self, options);
         let (h, _, _) = unary.sums(obj_from_cam);
-        let h = h * unary.scale;
+        let h = (h - unary.of_offset()) * unary.scale;
         let extent = Extent::of(unary.points.iter().copied()).moved(obj_from_cam);
         let own = Own { information: h, doubt: Matrix6::zeros(), noise: gradient_noise(&h) };
         let seen = Observability::new(self.node, &own, &extent);
@@ -130,6 +133,20 @@ impl<'a> SdfUnary<'a> {
         self.scale = if count == 0 { 0.0 } else { self.weight * (self.cap / count as f64).min(1.0) };
         let (h, g) = sums.finish();
         (h, g, cost)
+    }
+
+    /// The part of the last Hessian that one distance added to all residuals could explain, without the scale.
+    fn of_offset(&self) -> Matrix6<f64> {
+        let (mut sums, mut weight) = (RowSums::default(), 0.0);
+        for ((s, g), x) in self.sdf.iter().zip(&self.gradient).zip(&self.object) {
+            if s.is_finite() && is_finite(g) {
+                let (_, w) = huber(f64::from(*s).abs(), self.delta);
+                sums.add(&direction_row(widen(*g), widen(*x)), w, 1.0);
+                weight += w;
+            }
+        }
+        let (_, row) = sums.finish();
+        if weight > 0.0 { row * row.transpose() / weight } else { Matrix6::zeros() }
     }
 
     pub(crate) fn residuals(&mut self, poses: &[Isometry3<f64>], all: &mut Residuals) -> usize {

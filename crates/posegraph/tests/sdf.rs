@@ -4,7 +4,7 @@
 mod common;
 
 use common::{disturb, error, gradient, in_camera, node, orbit, rng, unit};
-use nalgebra::{Matrix6, Vector3, Vector6};
+use nalgebra::{Isometry3, Matrix6, Vector3, Vector6};
 use posegraph::{PoseGraph, SdfModel, SdfTerm, SolveOptions, solve};
 
 struct Shape {
@@ -114,8 +114,26 @@ impl SdfModel for Unknown {
     }
 }
 
+/// The plane z = 0.5 m, seen from below.
+struct Wall;
+impl SdfModel for Wall {
+    fn sdf_and_gradient(&self, points: &[[f32; 3]], sdf: &mut [f32], gradient: &mut [[f32; 3]]) {
+        sdf.iter_mut().zip(points).for_each(|(s, p)| *s = 0.5 - p[2]);
+        gradient.fill([0.0, 0.0, -1.0]);
+    }
+}
+
+/// A model that is off by so many metres everywhere.
+struct Off<'a>(&'a dyn SdfModel, f32);
+impl SdfModel for Off<'_> {
+    fn sdf_and_gradient(&self, points: &[[f32; 3]], sdf: &mut [f32], gradient: &mut [[f32; 3]]) {
+        self.0.sdf_and_gradient(points, sdf, gradient);
+        sdf.iter_mut().for_each(|s| *s += self.1);
+    }
+}
+
 #[test]
-fn information_is_the_curvature_of_the_cost() {
+fn information_is_the_curvature_of_the_cost_whatever_the_models_offset() {
     let truth = orbit(0.5, 0.3, 0.2);
     let model = Shape { distance: both, band: 0.1 };
     let points: Vec<_> = surface(both, 600, 3).iter().map(|x| in_camera(&truth, x)).collect();
@@ -126,13 +144,26 @@ fn information_is_the_curvature_of_the_cost() {
     for _ in 0..10 {
         let (slide, turn) = (unit(&mut rng) * 2e-4, unit(&mut rng) * 2e-3);
         let xi = Vector6::from_iterator(slide.iter().chain(turn.iter()).copied());
-        let mut graph = PoseGraph::new();
-        let n = graph.add_node(node(se3_lie::se3::exp(&xi) * truth, false));
-        graph.add_sdf_term(SdfTerm { node: n, points: points.clone(), model: &model }).unwrap();
-        let cost = solve(&graph, &options).unwrap().cost_initial;
+        let cost = |metres: f32| {
+            let model = Off(&model, metres);
+            let mut graph = PoseGraph::new();
+            let n = graph.add_node(node(se3_lie::se3::exp(&xi) * truth, false));
+            graph.add_sdf_term(SdfTerm { node: n, points: points.clone(), model: &model }).unwrap();
+            solve(&graph, &options).unwrap().cost_initial
+        };
+        // The least cost over all offsets, a parabola's.
+        const STEP: f32 = 2e-4;
+        let [low, cost, high] = [-STEP, 0.0, STEP].map(cost);
+        let (slope, bend) = (0.5 * (high - low), 0.5 * (high + low) - cost);
+        let cost = cost - slope * slope / (4.0 * bend);
         let expected = 0.5 * xi.dot(&(information * xi));
         assert!((cost - expected).abs() < 0.03 * expected, "{cost} {expected}");
     }
+    // A flat face: nothing is left of where it is along its normal, and its tilt stays known.
+    let flat = (0..400).map(|k| [(k % 20) as f32 * 0.004 - 0.038, (k / 20) as f32 * 0.004 - 0.038, 0.5]);
+    let face = SdfTerm { node: 0, points: flat.collect(), model: &Wall };
+    let information = face.information(&Isometry3::identity(), &options);
+    assert!(information[(2, 2)] < 1e-6 * information[(3, 3)] && information[(3, 3)] > 0.0, "{information}");
     let unknown = SdfTerm { node: 0, points, model: &Unknown };
     assert_eq!(unknown.information(&truth, &options), Matrix6::zeros());
 }
