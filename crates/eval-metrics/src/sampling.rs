@@ -10,6 +10,12 @@ use rand_pcg::Pcg64Mcg;
 /// Stratified along the cumulated area, random within a triangle; the same `seed` gives the same points.
 /// Empty when the mesh has no area.
 pub fn sample_surface(mesh: MeshRef<'_>, count: usize, seed: u64) -> Vec<[f64; 3]> {
+    oriented_samples(mesh, count, seed).into_iter().map(|(point, _)| point).collect()
+}
+
+/// As [`sample_surface`], each point with its triangle's normal: of any length, outwards where triangles are
+/// counter-clockwise from outside.
+pub(crate) fn oriented_samples(mesh: MeshRef<'_>, count: usize, seed: u64) -> Vec<([f64; 3], Vector3<f64>)> {
     let mut faces = Vec::with_capacity(mesh.triangles.len());
     let mut total = 0.0;
     for triangle in mesh.triangles {
@@ -35,7 +41,7 @@ pub fn sample_surface(mesh: MeshRef<'_>, count: usize, seed: u64) -> Vec<[f64; 3
         }
         let (_, a, ab, ac) = &faces[face];
         let (r, s) = (rng.random::<f64>().sqrt(), rng.random::<f64>());
-        samples.push((a + ab * (r * (1.0 - s)) + ac * (r * s)).into());
+        samples.push(((a + ab * (r * (1.0 - s)) + ac * (r * s)).into(), ab.cross(ac)));
     }
     samples
 }

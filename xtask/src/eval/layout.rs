@@ -91,8 +91,8 @@ pub(super) fn ablations(tables: &Tables) -> Option<Grid> {
 /// Everything else about each run.
 pub(super) fn details(entries: &[Entry]) -> Grid {
     let header = [
-        "run", "ADD-S", "ADD", "CD", "CD+ICP", "CD seen", "mask J", "mask F", "lost", "Hz", "s/round",
-        "wall s",
+        "run", "ADD-S", "ADD", "CD", "CD+ICP", "CD seen", "normals", "mask J", "mask F", "lost", "Hz",
+        "s/round", "wall s",
     ];
     let row = |entry: &Entry| {
         let repeat =
@@ -109,6 +109,7 @@ pub(super) fn details(entries: &[Entry]) -> Grid {
             number(|s| s.cd_cm, 3),
             number(|s| s.cd_icp_cm, 3),
             number(|s| s.cd_seen_cm, 3),
+            number(|s| s.normals_deg, 1),
             number(|s| s.region_j, 1),
             number(|s| s.boundary_f, 1),
             number(|s| Some(s.lost as f64), 0),
@@ -139,6 +140,9 @@ pub(super) fn notes(tables: &Tables, entries: &[Entry], masks: &Masks) -> Vec<St
          with only the visible part of the reconstruction. A perfect surface has about 0.11 cm."
             .into()
     });
+    notes.push(
+        "normals: median angle between the normals of the visible part and the true ones, degrees.".into(),
+    );
     if let Some(source) =
         published::source(benchmark).filter(|_| tables.columns.iter().any(|c| c.method.is_none()))
     {

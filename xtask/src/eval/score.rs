@@ -6,7 +6,7 @@ use super::video::{Masks, Place};
 use anyhow::Context;
 use eval_metrics::{
     BOUNDARY_TOLERANCE, Camera, MaskRef, MeshProtocol, MeshRef, ModelPoints, alignment, boundary_f,
-    keep_faces, region_similarity, score_mesh, score_poses, visible_faces,
+    keep_faces, normal_error, region_similarity, score_mesh, score_poses, visible_faces,
 };
 use nalgebra::Isometry3;
 use rgbd_io::FrameSource;
@@ -16,6 +16,9 @@ use std::path::Path;
 
 /// Frames whose views decide which part of the true surface the video shows: neighbours show the same.
 const MAX_VIEWS: usize = 300;
+
+/// Surface further from the true one than this (metres) has no normal to be compared with.
+const NORMALS_REACH: f64 = 0.01;
 
 /// The content of `score.json`.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -30,6 +33,8 @@ pub(super) struct Score {
     pub(super) cd_icp_cm: Option<f64>,
     /// Without registration, the reconstruction culled to the visible surface as well.
     pub(super) cd_seen_cm: Option<f64>,
+    /// Median angle between the normals of that part and the true ones, degrees.
+    pub(super) normals_deg: Option<f64>,
     /// Number of frames that the method reported as lost.
     pub(super) lost: usize,
     /// Median rate of the tracker, frames per second.
@@ -184,7 +189,10 @@ fn score_surface(
     let views: Vec<_> = truth.known.cam_from_obj.iter().flatten().map(|view| view * gt_from_pred).collect();
     let views: Vec<_> = views.iter().step_by(views.len().div_ceil(MAX_VIEWS).max(1)).copied().collect();
     let pred_seen = keep_faces(&mesh.triangles, &visible_faces(by_ref(mesh), &views, &truth.camera));
-    score.cd_seen_cm = centimetres(MeshRef::new(&mesh.vertices, &pred_seen), MeshProtocol::paper_text());
+    let pred_seen = MeshRef::new(&mesh.vertices, &pred_seen);
+    score.cd_seen_cm = centimetres(pred_seen, MeshProtocol::paper_text());
+    score.normals_deg =
+        normal_error(pred_seen, by_ref(&seen), &gt_from_pred, NORMALS_REACH).map(f64::to_degrees);
     Ok(())
 }
 

@@ -92,6 +92,7 @@ fn perfect_damaged_and_absent_results() {
     let perfect = score(&asked, &out).unwrap();
     assert!(perfect.add > 99.99 && perfect.add_s > 99.99, "{perfect:?}");
     assert!((0.08..0.13).contains(&perfect.cd_seen_cm.unwrap()), "{perfect:?}");
+    assert!(perfect.normals_deg.unwrap() < 1e-3, "{perfect:?}");
     // The bottom was never seen, so a whole cube has surface that the truth lacks.
     assert!(perfect.cd_cm.unwrap() > perfect.cd_seen_cm.unwrap(), "{perfect:?}");
     assert_eq!((perfect.lost, perfect.hz, perfect.round_s), (1, Some(7.5), Some(1.5)));
