@@ -44,10 +44,8 @@ mod tests {
     #[test]
     fn the_slope_of_a_roof_is_its_error_against_a_plane() {
         let (flat, steep) = (roof(0.0), roof(0.05));
-        let mesh = |m: &'_ (Vec<[f64; 3]>, Vec<[u32; 3]>)| (m.0.clone(), m.1.clone());
         let error = |a: &(Vec<[f64; 3]>, Vec<[u32; 3]>), motion: &Isometry3<f64>, reach: f64| {
-            let ((va, ta), (vb, tb)) = (mesh(a), mesh(&flat));
-            normal_error(MeshRef::new(&va, &ta), MeshRef::new(&vb, &tb), motion, reach)
+            normal_error(MeshRef::new(&a.0, &a.1), MeshRef::new(&flat.0, &flat.1), motion, reach)
         };
         let still = Isometry3::identity();
         assert!(error(&flat, &still, 0.01).unwrap() < 1e-7);

@@ -28,9 +28,13 @@ impl SdfTerm<'_> {
     pub fn information(&self, obj_from_cam: &Isometry3<f64>, options: &SolveOptions) -> Matrix6<f64> {
         let mut unary = SdfUnary::new(self, options);
         let (h, _, _) = unary.sums(obj_from_cam);
-        let h = (h - unary.of_offset()) * unary.scale;
         let extent = Extent::of(unary.points.iter().copied()).moved(obj_from_cam);
-        let own = Own { information: h, doubt: Matrix6::zeros(), noise: gradient_noise(&h) };
+        // An offset doesn't explain what noise in the gradients adds.
+        let own = Own {
+            information: (h - unary.of_offset()) * unary.scale,
+            doubt: Matrix6::zeros(),
+            noise: gradient_noise(&(h * unary.scale)),
+        };
         let seen = Observability::new(self.node, &own, &extent);
         seen.map_or_else(Matrix6::zeros, |seen| seen.beyond_noise())
     }
