@@ -111,9 +111,9 @@ impl Work {
         let samples = c.surface_tiles * c.surface_lanes() + c.ring_tiles * c.ring_lanes();
         let central = (c.surface_tiles * c.central_lanes()) as f64;
         let all = samples as f64;
-        let (e, h, f, i) =
-            (n.encoding() as f64, n.hidden() as f64, n.features as f64, n.color[0].inputs as f64);
-        let layers = i * h + h * h + 3.0 * h;
+        let (e, h, f) = (n.encoding() as f64, n.hidden() as f64, n.features as f64);
+        // What the first colour layer does once a ray isn't counted.
+        let layers = f * h + h * h + 3.0 * h;
         let eikonal = if config.weights.eikonal > 0.0 && config.eikonal_every > 0 {
             central / config.eikonal_every as f64
         } else {

@@ -136,7 +136,10 @@ impl CpuEngine {
         let set = self.set;
         let mut chunks = std::mem::take(&mut self.chunks);
         let model = self.model();
-        chunks.par_iter_mut().for_each(|chunk| chunk.run(set, &model, sampler, &ray_poses, step));
+        chunks
+            .par_iter_mut()
+            .with_max_len(1)
+            .for_each(|chunk| chunk.run(set, &model, sampler, &ray_poses, step));
         self.chunks = chunks;
 
         let iteration = step + 1;
@@ -154,7 +157,7 @@ impl CpuEngine {
         self.networks.flip(&self.weights, &mut self.flipped);
 
         let chunks = &self.chunks;
-        self.grid.shares(&mut self.parts).into_par_iter().for_each(|(level, part, table)| {
+        self.grid.shares(&mut self.parts).into_par_iter().with_max_len(1).for_each(|(level, part, table)| {
             part.clock.start();
             for tile in chunks.iter().flat_map(|c| &c.gradients) {
                 set.call(Scatter { level, l: part.level, tile, to: &mut part.vertices() });

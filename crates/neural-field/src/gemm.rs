@@ -149,7 +149,8 @@ pub(crate) fn product_of_rows<R: Real, I: Isa>(
     target: &mut impl Target<R>,
 ) {
     match stride {
-        // The usual width of a hidden layer.
+        // The usual widths of the geometry features and of a hidden layer.
+        16 => product::<R, I>(shape, Rows::<R, 16>(a), b, target),
         64 => product::<R, I>(shape, Rows::<R, 64>(a), b, target),
         _ => product::<R, I>(shape, AnyRows(a, stride), b, target),
     }

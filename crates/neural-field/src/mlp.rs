@@ -99,9 +99,9 @@ impl Networks {
         self.features.next_multiple_of(8)
     }
 
-    /// Numbers from lane to lane of what goes into the colour network.
-    pub(crate) fn color_stride(&self) -> usize {
-        self.color[0].inputs.max(self.hidden())
+    /// Inputs of the colour network from the last multiple of 8 among the geometry features on.
+    pub(crate) fn view_inputs(&self) -> usize {
+        self.color[0].inputs - self.features / 8 * 8
     }
 
     /// Transposes `[input][output]` of what the forward pass multiplies from the right; see [`flip`](Self::flip).

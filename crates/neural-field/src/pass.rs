@@ -208,14 +208,14 @@ fn geometry_backward<R: Real, I: Isa>(
     let hidden = &s.hidden[panel.among_central(from, h)];
     let features = if tile.has_color { n.features } else { 0 };
     if features > 0 {
-        let stride = n.color_stride();
+        let stride = n.padded_features();
         let rows = &s.d_color_in[panel.lanes(from, stride)];
-        to_columns::<R, I>((rows, stride), (n.padded_features(), width), (&mut s.panel.d_features, PANEL));
+        to_columns::<R, I>((rows, stride), (stride, width), (&mut s.panel.d_features, PANEL));
         product::<R, I>(
-            (h, n.padded_features(), width),
+            (h, stride, width),
             Rows::<R, PANEL>(hidden),
             (rows, stride),
-            &mut Add { c: &mut s.sums.features, ld: n.padded_features() },
+            &mut Add { c: &mut s.sums.features, ld: stride },
         );
     }
     let w_last = &model.weights[last.weights()];
@@ -288,7 +288,8 @@ fn add_last_bias<R: Real>(model: &Model<'_, R>, tile: &Tile<R>, s: &Scratch<R>, 
     let (bias, features) = grad[n.geometry[1].bias()].split_at_mut(1);
     bias[0] += sum(&s.d_sdf[..tile.lanes]);
     if tile.has_color {
-        for row in s.d_color_in[..n.color_stride() * tile.central].chunks_exact(n.color_stride()) {
+        let stride = n.padded_features();
+        for row in s.d_color_in[..stride * tile.central].chunks_exact(stride) {
             for (g, d) in features.iter_mut().zip(row) {
                 *g += *d;
             }

@@ -1,8 +1,8 @@
 //! Evaluation of a trained field at arbitrary points, in blocks of lanes.
 
-use crate::color::{color_features, color_forward};
+use crate::color::{color_features, color_forward, view_forward, view_in};
 use crate::eikonal::{slope_factors, slope_weights};
-use crate::harmonics::{self, harmonics};
+use crate::harmonics::harmonics;
 use crate::pass::{encode, hidden_layer, through_jacobian};
 use crate::real::{Isa, Kernel, Real};
 use crate::tile::{Aligned, Model, PANEL, Panel, Scratch};
@@ -53,17 +53,15 @@ impl<R: Real> Kernel for QueryColor<'_, R> {
     #[inline(always)]
     fn run<I: Isa>(self) {
         let Self { model, lanes, dirs, scratch: s } = self;
-        let (n, w) = (model.networks, model.weights);
-        let stride = n.color_stride();
+        let code = model.networks.codes.neutral();
         for panel in Panel::all(lanes, lanes) {
-            color_features::<R, I>(model, panel, 0, s);
-            let rows = s.color_in[panel.lanes(0, stride)].chunks_exact_mut(stride);
-            for (row, d) in rows.zip(&dirs[panel.start..]) {
-                let (bands, code) = row[n.features..].split_at_mut(harmonics::COUNT);
-                bands.copy_from_slice(&harmonics(*d).0);
-                code[..n.codes.size].copy_from_slice(&w[n.codes.neutral()]);
+            let dirs = &dirs[panel.start..][..panel.width];
+            for (row, d) in dirs.iter().enumerate() {
+                view_in(model, row, &harmonics(*d).0, code.clone(), s);
             }
-            color_forward::<R, I>(model, panel, 0, s);
+            view_forward::<R, I>(model, panel.width, s);
+            color_features::<R, I>(model, panel, 0, s);
+            color_forward::<R, I>(model, panel, 0, panel.width, s);
         }
     }
 }

@@ -234,7 +234,7 @@ pub(crate) struct Scratch<R> {
     pub(crate) d_sdf: Aligned<R>,
     /// `[axis][lane]`.
     pub(crate) d_pos: Aligned<R>,
-    /// `[lane][feature]`, central lanes only.
+    /// Geometry features `[lane][padded feature]`, central lanes only.
     pub(crate) color_in: Aligned<R>,
     pub(crate) d_color_in: Aligned<R>,
     pub(crate) color_a: Aligned<R>,
@@ -264,6 +264,14 @@ pub(crate) struct PanelScratch<R> {
     /// `[lane][unit]`.
     pub(crate) d_color_a: Aligned<R>,
     pub(crate) d_color_b: Aligned<R>,
+    /// Biases of the geometry features, then zeros.
+    pub(crate) feature_bias: Aligned<R>,
+    /// What the colour network sees beside the features, `[ray][input]`, what its first layer makes of it and its bias,
+    /// `[ray][unit]`, and the gradients by both.
+    pub(crate) view_in: Aligned<R>,
+    pub(crate) view: Aligned<R>,
+    pub(crate) d_view: Aligned<R>,
+    pub(crate) d_view_in: Aligned<R>,
 }
 
 /// Sums over the panels of some tiles that are not in the order of the weights.
@@ -299,7 +307,7 @@ impl<R: Real> Scratch<R> {
         let zeros = Aligned::zeros;
         let panels = Panel::all(lanes, central).count();
         let (e, h) = (networks.encoding(), networks.hidden());
-        let c = networks.color_stride();
+        let (c, view) = (networks.padded_features(), networks.view_inputs());
         Self {
             enc: zeros(e * PANEL * panels),
             jac: zeros(3 * e * PANEL * panels),
@@ -314,13 +322,18 @@ impl<R: Real> Scratch<R> {
             rgb: zeros(3 * PANEL * Panel::all(central, central).count()),
             panel: PanelScratch {
                 d_hidden: zeros(h * PANEL),
-                d_features: zeros(networks.padded_features() * PANEL),
+                d_features: zeros(c * PANEL),
                 active: zeros(h * PANEL),
                 slope: zeros(3 * PANEL),
                 columns: zeros(e * PANEL),
                 rows: zeros(e * PANEL),
                 d_color_a: zeros(h * PANEL),
                 d_color_b: zeros(h * PANEL),
+                feature_bias: zeros(c),
+                view_in: zeros(view * PANEL),
+                view: zeros(h * PANEL),
+                d_view: zeros(h * RAYS),
+                d_view_in: zeros(view * RAYS),
             },
             sums: TileSums {
                 bias: zeros(VECTOR * h),
