@@ -7,6 +7,7 @@
 use crate::frame::FieldImages;
 use crate::rays::FrameRays;
 use crate::volume::Volume;
+use crate::window::Window;
 use nalgebra::{Isometry3, Point3};
 
 /// Added to all brightness (0..1): what is darker than this has no contrast.
@@ -14,33 +15,42 @@ const DARK: f32 = 4.0 / 255.0;
 /// Cells per axis of the lattice that remembers brightness.
 const CELLS: usize = 32;
 
-/// For every pixel twice the mean brightness (0..1) of the masked ones around it; the window's radius is about `window`
-/// times the larger side of the mask's box `[u0, v0, u1, v1]`. 1 everywhere if `window` is 0.
-pub(crate) fn surround(frame: &FieldImages, [u0, v0, u1, v1]: [usize; 4], window: f64) -> Vec<f32> {
-    let (width, height) = (frame.width, frame.height);
-    if window <= 0.0 {
-        return vec![1.0; width * height];
+/// For every pixel of the window twice the mean brightness (0..1) of the masked ones within a [`reach`]; the window must hold
+/// all pixels that are masked. 1 everywhere if there is no reach.
+pub(crate) fn surround(frame: &FieldImages, window: Window, reach: usize) -> Vec<f32> {
+    if reach == 0 {
+        return vec![1.0; window.len()];
     }
     let brightness = |c: &[u8; 3]| c.iter().map(|v| f32::from(*v)).sum::<f32>() / 765.0 + DARK;
-    let masked = || frame.mask.iter().map(|m| *m != 0);
+    let pixels = || window.pixels().map(|(u, v)| v * frame.width + u);
+    let masked = |i: &usize| frame.mask[*i] != 0;
     let mut sum: Vec<f32> =
-        frame.color.iter().zip(masked()).map(|(c, m)| if m { brightness(c) } else { 0.0 }).collect();
-    let mut weight: Vec<f32> = masked().map(|m| f32::from(u8::from(m))).collect();
-    // Two passes of a box of half the radius: a tent.
-    let side = (u1 - u0).max(v1 - v0) as f64;
-    let radius = ((0.5 * window * side).ceil() as usize).clamp(1, width.max(height));
+        pixels().map(|i| if masked(&i) { brightness(&frame.color[i]) } else { 0.0 }).collect();
+    let mut weight: Vec<f32> = pixels().map(|i| f32::from(u8::from(masked(&i)))).collect();
+    // Two passes of a box of half the reach: a tent.
+    let (width, height) = (window.width, window.height);
     let mut line = Vec::new();
     for image in [&mut sum, &mut weight] {
         for _ in 0..2 {
             for v in 0..height {
-                average(&mut image[v * width..], (width, 1), radius, &mut line);
+                average(&mut image[v * width..], (width, 1), reach / 2, &mut line);
             }
             for u in 0..width {
-                average(&mut image[u..], (height, width), radius, &mut line);
+                average(&mut image[u..], (height, width), reach / 2, &mut line);
             }
         }
     }
     sum.iter().zip(&weight).map(|(s, w)| if *w > 1e-6 { 2.0 * s / w } else { 1.0 }).collect()
+}
+
+/// How far a pixel's surround reaches, pixels: about `window` times the larger side of the mask's box `[u0, v0, u1, v1]`; 0
+/// if `window` is.
+pub(crate) fn reach(frame: &FieldImages, [u0, v0, u1, v1]: [usize; 4], window: f64) -> usize {
+    if window <= 0.0 {
+        return 0;
+    }
+    let side = (u1 - u0).max(v1 - v0) as f64;
+    2 * ((0.5 * window * side).ceil() as usize).clamp(1, frame.width.max(frame.height))
 }
 
 /// Replaces `count` values, `step` apart, by the means of those within `radius`; beyond the ends all are zero.
@@ -153,10 +163,16 @@ mod tests {
         }
     }
 
+    /// The surround in all pixels.
+    fn everywhere(image: &FieldImages, window: f64) -> Vec<f32> {
+        let size = (image.width, image.height);
+        let all = Window::around([0, 0, size.0 - 1, size.1 - 1], 0, size);
+        surround(image, all, reach(image, image.mask_box().unwrap(), window))
+    }
+
     /// Median difference between the contrasts of two images inside the mask; without a window, between their colours.
     fn difference(a: &FieldImages, b: &FieldImages, window: f64) -> f32 {
-        let bounds = a.mask_box().unwrap();
-        let (in_a, in_b) = (surround(a, bounds, window), surround(b, bounds, window));
+        let (in_a, in_b) = (everywhere(a, window), everywhere(b, window));
         let mut errors: Vec<f32> = (0..a.mask.len())
             .filter(|i| a.mask[*i] != 0)
             .map(|i| {
@@ -186,17 +202,29 @@ mod tests {
     #[test]
     fn without_a_window_colours_stay() {
         let image = lit(|u| u as f64);
-        assert_eq!(surround(&image, image.mask_box().unwrap(), 0.0), vec![1.0; 80 * 60]);
+        assert_eq!(everywhere(&image, 0.0), vec![1.0; 80 * 60]);
+    }
+
+    #[test]
+    fn what_is_further_off_than_the_reach_plays_no_part() {
+        let image = lit(|u| u as f64);
+        let bounds = image.mask_box().unwrap();
+        let reach = reach(&image, bounds, 0.1);
+        let part = Window::around(bounds, reach, (80, 60));
+        let (found, all) = (surround(&image, part, reach), everywhere(&image, 0.1));
+        for (pixel, found) in part.pixels().zip(found).filter(|((u, v), _)| image.masked(*u, *v)) {
+            assert_eq!(found, all[pixel.1 * 80 + pixel.0]);
+        }
     }
 
     #[test]
     fn a_window_of_any_size_gives_numbers() {
         let mut image = lit(|u| u as f64);
         for window in [1e-9, 0.1, 1.0, 100.0, f64::MAX] {
-            let found = surround(&image, image.mask_box().unwrap(), window);
+            let found = everywhere(&image, window);
             assert!(found.iter().all(|s| s.is_finite() && *s > 0.0), "{window}");
         }
         image.color.fill([0; 3]);
-        assert!(surround(&image, [10, 8, 69, 51], 0.1).iter().all(|s| *s > 0.0));
+        assert!(everywhere(&image, 0.1).iter().all(|s| *s > 0.0));
     }
 }

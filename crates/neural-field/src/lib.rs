@@ -90,6 +90,7 @@ mod tile;
 mod train;
 mod trust;
 mod volume;
+mod window;
 
 pub use config::{FieldConfig, LossWeights};
 pub use cpu::CpuRound;

@@ -1,10 +1,11 @@
 //! Candidate rays of every frame, prepared once per round.
 
 use crate::config::FieldConfig;
-use crate::contrast::surround;
+use crate::contrast::{reach, surround};
 use crate::frame::FieldImages;
 use crate::silhouette::{NOWHERE, nearest_background, nearest_masked};
 use crate::volume::Volume;
+use crate::window::Window;
 use nalgebra::{Isometry3, Point3};
 
 /// Smallest cosine of incidence that is believed: at grazing view the normal is mostly noise.
@@ -65,25 +66,25 @@ impl FrameRays {
         let mut rays = Self::default();
         let Some(mask_box) = frame.mask_box() else { return rays };
         let radius = ring_radius(mask_box, config.ring_width);
-        let near = if config.ring_rays > 0 { nearest_masked(frame, radius) } else { Vec::new() };
-        let far = nearest_background(frame, radius.max(1));
+        let reach = reach(frame, mask_box, config.contrast_window);
+        let window = Window::around(mask_box, radius.max(reach).max(1), (frame.width, frame.height));
+        let near = if config.ring_rays > 0 { nearest_masked(frame, window, radius) } else { Vec::new() };
+        let far = nearest_background(frame, window, radius.max(1));
+        let surround = surround(frame, window, reach);
         let (mut inside, mut ring) = (Vec::new(), Vec::new());
-        for v in 0..frame.height {
-            for u in 0..frame.width {
-                if frame.masked(u, v) {
-                    if let Some(z) = frame.depth_at(u, v) {
-                        inside.push((u, v, z, far[v * frame.width + u]));
-                    }
-                } else if let Some(&rim) = near.get(v * frame.width + u)
-                    && rim != NOWHERE
-                {
-                    ring.push(((u, v), rim));
+        for (i, (u, v)) in window.pixels().enumerate() {
+            if frame.masked(u, v) {
+                if let Some(z) = frame.depth_at(u, v) {
+                    inside.push((u, v, z, far[i], surround[i]));
                 }
+            } else if let Some(&rim) = near.get(i)
+                && rim != NOWHERE
+            {
+                ring.push(((u, v), rim));
             }
         }
-        let surround = surround(frame, mask_box, config.contrast_window);
         for i in spread(inside.len(), config.rays_per_frame) {
-            rays.push_surface(frame, obj_from_cam, volume, config, inside[i], &surround);
+            rays.push_surface(frame, obj_from_cam, volume, config, inside[i]);
         }
         let mut intervals = Vec::new();
         for i in spread(ring.len(), config.rays_per_frame) {
@@ -98,8 +99,7 @@ impl FrameRays {
         obj_from_cam: &Isometry3<f64>,
         volume: &Volume,
         config: &FieldConfig,
-        (u, v, z, rim): (usize, usize, f32, [u32; 2]),
-        surround: &[f32],
+        (u, v, z, rim, surround): (usize, usize, f32, [u32; 2], f32),
     ) {
         let ray = frame.ray(u, v);
         let length = norm(ray);
@@ -117,8 +117,8 @@ impl FrameRays {
         };
         s.depth.push(depth.min(1.0) as f32);
         let at = v * frame.width + u;
-        s.color.push(frame.color[at].map(|c| (f32::from(c) / 255.0 / surround[at]).min(1.0)));
-        s.surround.push(surround[at]);
+        s.color.push(frame.color[at].map(|c| (f32::from(c) / 255.0 / surround).min(1.0)));
+        s.surround.push(surround);
         let cosine = if config.incidence_correction { incidence(frame, u, v, z, config) } else { None };
         s.cosine.push(cosine.unwrap_or(1.0).clamp(MIN_COSINE, 1.0));
     }
@@ -300,7 +300,8 @@ mod tests {
         for (i, m) in frame.mask.iter_mut().enumerate() {
             *m = u8::from(from_centre(i % 64, i / 64) <= radius);
         }
-        let near = nearest_masked(&frame, 10);
+        let all = Window::around([0, 0, 63, 47], 0, (64, 48));
+        let near = nearest_masked(&frame, all, 10);
         let mut most = 0.0f64;
         for v in 0..48 {
             for u in 0..64 {

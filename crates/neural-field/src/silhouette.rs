@@ -1,27 +1,33 @@
 //! Distances to a mask's border, on both sides of it.
 
 use crate::frame::FieldImages;
+use crate::window::Window;
 
 /// In place of a pixel, where none is near.
 pub(crate) const NOWHERE: [u32; 2] = [u32::MAX; 2];
 
-/// For every pixel within about `radius` pixels of the mask the masked one nearest to it, [`NOWHERE`] further away.
-pub(crate) fn nearest_masked(frame: &FieldImages, radius: usize) -> Vec<[u32; 2]> {
-    nearest(frame, radius, |m| m != 0)
+/// For every pixel of the window within about `radius` pixels of the mask the masked one nearest to it, [`NOWHERE`] further
+/// away. The window must hold all pixels that are masked.
+pub(crate) fn nearest_masked(frame: &FieldImages, window: Window, radius: usize) -> Vec<[u32; 2]> {
+    nearest(frame, window, radius, |m| m != 0)
 }
 
-/// The same for the background: for every pixel within about `radius` pixels of it the nearest one that isn't masked.
-pub(crate) fn nearest_background(frame: &FieldImages, radius: usize) -> Vec<[u32; 2]> {
-    nearest(frame, radius, |m| m == 0)
+/// The same for the background: for every pixel of the window within about `radius` pixels of it the nearest one that isn't
+/// masked. Where the image goes on, the window must hold a pixel more than the mask on every side.
+pub(crate) fn nearest_background(frame: &FieldImages, window: Window, radius: usize) -> Vec<[u32; 2]> {
+    nearest(frame, window, radius, |m| m == 0)
 }
 
 /// Two sweeps in which pixels hand on what is nearest to them (Danielsson, Euclidean Distance Mapping, Computer Graphics
 /// and Image Processing 14, 1980); distances are exact up to a fraction of a pixel.
-fn nearest(frame: &FieldImages, radius: usize, wanted: impl Fn(u8) -> bool) -> Vec<[u32; 2]> {
-    let (width, height) = (frame.width, frame.height);
-    let mut near = vec![NOWHERE; width * height];
-    for (i, pixel) in near.iter_mut().enumerate().filter(|(i, _)| wanted(frame.mask[*i])) {
-        *pixel = [(i % width) as u32, (i / width) as u32];
+fn nearest(frame: &FieldImages, window: Window, radius: usize, wanted: impl Fn(u8) -> bool) -> Vec<[u32; 2]> {
+    let (width, height) = (window.width, window.height);
+    // In pixels of the window until the end.
+    let mut near = vec![NOWHERE; window.len()];
+    for (i, (u, v)) in window.pixels().enumerate() {
+        if wanted(frame.mask[v * frame.width + u]) {
+            near[i] = [(i % width) as u32, (i / width) as u32];
+        }
     }
     let reach = (radius * radius) as i64;
     let mut take = |(u, v): (usize, usize), neighbours: &[(i64, i64)]| {
@@ -43,6 +49,10 @@ fn nearest(frame: &FieldImages, radius: usize, wanted: impl Fn(u8) -> bool) -> V
     for v in (0..height).rev() {
         (0..width).rev().for_each(|u| take((u, v), &[(1, 0), (1, 1), (0, 1), (-1, 1)]));
         (0..width).for_each(|u| take((u, v), &[(-1, 0)]));
+    }
+    let [left, top] = window.start().map(|c| c as u32);
+    for pixel in near.iter_mut().filter(|p| **p != NOWHERE) {
+        *pixel = [pixel[0] + left, pixel[1] + top];
     }
     near
 }
@@ -81,16 +91,23 @@ mod tests {
             mask_margin: 0.0,
         };
         let radius = 9;
-        let near = nearest_masked(&frame, radius);
-        for v in 0..height {
-            for u in 0..width {
-                let true_distance = masked.iter().map(|&(x, y)| squared([x as u32, y as u32], (u, v))).min();
-                let (found, best) = (squared(near[v * width + u], (u, v)), true_distance.unwrap());
-                if best <= ((radius - 1) * (radius - 1)) as i64 {
-                    assert!((found as f64).sqrt() - (best as f64).sqrt() < 0.3, "{u} {v}");
-                }
-                assert!(found == i64::MAX || (best..=(radius * radius) as i64).contains(&found));
+        let all = Window::around([0, 0, width - 1, height - 1], 0, (width, height));
+        let near = nearest_masked(&frame, all, radius);
+        for ((u, v), near) in all.pixels().zip(&near) {
+            let true_distance = masked.iter().map(|&(x, y)| squared([x as u32, y as u32], (u, v))).min();
+            let (found, best) = (squared(*near, (u, v)), true_distance.unwrap());
+            if best <= ((radius - 1) * (radius - 1)) as i64 {
+                assert!((found as f64).sqrt() - (best as f64).sqrt() < 0.3, "{u} {v}");
             }
+            assert!(found == i64::MAX || (best..=(radius * radius) as i64).contains(&found));
+        }
+        // A part of the image that holds all that is masked finds the same.
+        let part = Window::around(frame.mask_box().unwrap(), radius, (width, height));
+        let (inner, background) = (nearest_masked(&frame, part, radius), nearest_background(&frame, part, 2));
+        let all_background = nearest_background(&frame, all, 2);
+        for (i, pixel) in part.pixels().enumerate() {
+            assert_eq!(inner[i], near[all.at(pixel)]);
+            assert_eq!(background[i], all_background[all.at(pixel)]);
         }
     }
 }
