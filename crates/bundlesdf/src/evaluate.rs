@@ -6,10 +6,10 @@ use eval_metrics::{
 use marching_cubes::TriMesh;
 use nalgebra::Isometry3;
 use rgbd_io::Intrinsics;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
-/// How good a run is; the content of `eval.json`.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+/// How good a run is; the content of `eval.json`, and of `eval_refined.json` after a refinement.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Scores {
     /// Area under the ADD curve from 0 to 0.1 m (percent).
     pub add: f64,
@@ -17,7 +17,7 @@ pub struct Scores {
     pub add_s: f64,
     /// Chamfer distance to the surface that the video shows (centimetres); `None` without a mesh.
     pub cd_cm: Option<f64>,
-    /// Frames with the status `lost`.
+    /// Frames with the status `lost`; after a refinement those that had no say in their pose.
     pub lost: usize,
 }
 

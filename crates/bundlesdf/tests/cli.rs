@@ -149,6 +149,35 @@ fn a_finished_run_can_be_refined() {
 }
 
 #[test]
+fn the_demo_scores_the_run_and_its_refinement_once_each() {
+    let dir = tempfile::tempdir().unwrap();
+    let out = dir.path().join("out");
+    let config = dir.path().join("short.toml");
+    fs::write(&config, "[field]\nsteps = 20\nfinal_steps = 20\nrefine_steps = 20\n").unwrap();
+    let (results, config) = (out.to_str().unwrap(), config.to_str().unwrap());
+    let output = bundlesdf(&["demo", "--out", results, "--frames", "5", "--config", config]);
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let printed = String::from_utf8(output.stdout).unwrap();
+    let line = |name: &str| printed.lines().find(|l| l.starts_with(name) && l.contains("ADD AUC")).unwrap();
+    let page = fs::read_to_string(out.join("report.html")).unwrap();
+    let mut scores = Vec::new();
+    for (name, file) in [("online", "eval.json"), ("refined", "eval_refined.json")] {
+        let read: serde_json::Value = serde_json::from_slice(&fs::read(out.join(file)).unwrap()).unwrap();
+        let add = read["add"].as_f64().unwrap();
+        assert!(add > 50.0 && line(name).contains(&format!("ADD AUC {add:.2}")), "{printed}");
+        scores.push(format!("{add:.1}"));
+    }
+    assert!(page.contains(&format!("ADD AUC against the truth; {} while the video ran", scores[0])));
+
+    // A refinement on its own leaves the run's scores alone.
+    let before = fs::read(out.join("eval.json")).unwrap();
+    fs::remove_file(out.join("eval_refined.json")).unwrap();
+    assert!(bundlesdf(&["refine", results, "--steps", "10"]).status.success());
+    assert_eq!(fs::read(out.join("eval.json")).unwrap(), before);
+    assert!(out.join("eval_refined.json").is_file());
+}
+
+#[test]
 fn errors_follow_the_log_and_have_no_colours_off_a_terminal() {
     let text = bundlesdf(&["report", "nowhere"]);
     assert_eq!(text.status.code(), Some(2));

@@ -42,6 +42,7 @@ impl Window {
     }
 
     /// Where the value of a pixel of the window is.
+    #[cfg(test)]
     pub(crate) fn at(&self, (u, v): (usize, usize)) -> usize {
         (v - self.top) * self.width + u - self.left
     }

@@ -11,6 +11,7 @@ mod progress;
 mod refine;
 mod report;
 mod run;
+mod truth;
 
 use std::{
     path::PathBuf,

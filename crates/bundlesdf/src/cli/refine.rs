@@ -4,16 +4,21 @@ use std::{io::IsTerminal, path::PathBuf, process::ExitCode, sync::atomic::Atomic
 
 use anyhow::Context;
 use bundlesdf::{
-    OutputFolder, RunReport, Status, VideoInput,
+    OutputFolder, RunReport,
     config::Refiner,
-    evaluate::{Scores, Truth, evaluate},
     refine::{Progress, RefineError, RefineOptions, Refined, refine as refine_run},
 };
 use clap::Args;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
-use rgbd_synth::Sequence;
 
-use super::{EXIT_INTERRUPTED, export, log::Log, report::write_report, run::print, stop_flag};
+use super::{
+    EXIT_INTERRUPTED, export,
+    log::Log,
+    report::write_report,
+    run::print,
+    stop_flag,
+    truth::{self, write_refined_scores},
+};
 
 #[derive(Args, Debug)]
 pub(super) struct RefineArgs {
@@ -51,13 +56,14 @@ pub(super) fn refine(args: &RefineArgs, log: Log) -> anyhow::Result<ExitCode> {
         }
         other => other?,
     };
+    write_refined_scores(&report, &folder, &refined)?;
     // The report shows this file: it must not be the mesh from before.
     if folder.path().join("mesh.glb").is_file() {
         export::at_the_end(&report, &folder, log);
     }
     write_report(&folder, log);
     print(&summary(&refined, &folder));
-    print(&truth_lines(&report, &folder, &refined)?);
+    print(&truth::lines(&folder));
     Ok(ExitCode::SUCCESS)
 }
 
@@ -178,40 +184,4 @@ pub(super) fn line(refined: &Refined) -> String {
         "{:<10} {frames} frames ({measured} measured) and {keyframes} keyframes in {seconds:.1} s\n",
         "refined"
     )
-}
-
-/// Scores before and after, where the video is synthetic and its truth known; writes the latter.
-pub(super) fn truth_lines(
-    report: &RunReport,
-    folder: &OutputFolder,
-    refined: &Refined,
-) -> anyhow::Result<String> {
-    let Some(VideoInput::Synthetic { name, .. }) = &report.input else { return Ok(String::new()) };
-    let video = if name == "demo" { Some(Sequence::demo()) } else { Sequence::named(name) };
-    let Some(video) = video else { return Ok(String::new()) };
-    let exact: Vec<_> = (0..report.frames.len()).map(|i| video.cam_from_obj(i)).collect();
-    let truth = Truth {
-        cam_from_obj: &exact,
-        mesh: video.mesh(),
-        intrinsics: video.intrinsics(),
-        size: (video.spec().width, video.spec().height),
-    };
-    let online =
-        report.frames.iter().map(|f| folder.read_pose(&f.id)).collect::<Result<Vec<_>, rgbd_io::Error>>()?;
-    let lost = report.count(Status::Lost);
-    let online_mesh = folder.read_online_mesh()?;
-    let before = evaluate(&online, online_mesh.as_ref(), lost, &truth);
-    let poses: Vec<_> = refined.frames.iter().map(|f| f.cam_from_obj).collect();
-    let unmeasured = refined.frames.iter().filter(|f| !f.measured).count();
-    let after = evaluate(&poses, Some(&refined.mesh), unmeasured, &truth);
-    folder.write_json("eval_refined.json", &after)?;
-    let line = |name: &str, s: &Scores| {
-        let chamfer = s.cd_cm.map_or_else(String::new, |cd| format!(", chamfer {cd:.2} cm"));
-        format!("{name:<10} ADD AUC {:.2}, ADD-S AUC {:.2} (0 to 0.1 m, percent){chamfer}", s.add, s.add_s)
-    };
-    Ok(format!(
-        "{}, {lost} lost\n{}, {unmeasured} not measured\n",
-        line("online", &before),
-        line("refined", &after)
-    ))
 }

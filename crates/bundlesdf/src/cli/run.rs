@@ -19,7 +19,7 @@ use rgbd_io::{CustomOptions, FrameSource};
 
 use super::{
     EXIT_BAD_INPUT, EXIT_INTERRUPTED, HowArgs, InputArgs, RunArgs, export, log::Log, progress::Progress,
-    refine, report::write_report, stop_flag,
+    refine, report::write_report, stop_flag, truth::write_scores,
 };
 
 /// How the input arguments read a custom folder.
@@ -106,6 +106,9 @@ pub(super) fn finish(
     log: Log,
 ) -> Products {
     let refined = if how.no_refine { None } else { refine::at_the_end(report, folder, stop, log) };
+    if let Err(error) = write_scores(report, folder, refined.as_ref()) {
+        log.warning(&format!("not scored against the truth: {error}"));
+    }
     let stopped = stop.load(Ordering::SeqCst);
     let assets = if how.no_export || stopped { None } else { export::at_the_end(report, folder, log) };
     write_report(folder, log);

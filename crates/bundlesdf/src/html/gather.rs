@@ -10,6 +10,7 @@ use super::overlays::{Overlays, draw_overlays};
 use crate::{
     KeyframeReport, RunReport,
     draw::{Overlay, direction},
+    evaluate::Scores,
     export::{Asset, glb},
     output::OutputFolder,
     report::MeshReport,
@@ -27,8 +28,9 @@ pub(super) struct Results {
     pub(super) overlays: Overlays,
     /// The mesh as base64 of a GLB file.
     pub(super) model: Option<String>,
-    /// `eval.json`, where the truth is known.
-    pub(super) scores: Option<serde_json::Value>,
+    /// Scores of the run and of its refinement, where the truth is known.
+    pub(super) scores: Option<Scores>,
+    pub(super) refined_scores: Option<Scores>,
     /// Names of the files and folders in the results folder.
     pub(super) files: Vec<String>,
     /// What could not be read for the page.
@@ -50,7 +52,8 @@ impl Results {
         }
         let poses: Vec<_> = report.frames.iter().map(|f| folder.read_final_pose(&f.id).ok()).collect();
         let overlays = draw_overlays(folder, &report, &poses, &overlay);
-        let scores = fs::read(folder.path().join("eval.json")).ok();
+        let scores = |name: &str| serde_json::from_slice(&fs::read(folder.path().join(name)).ok()?).ok();
+        let refined_scores = refined.as_ref().and_then(|_| scores("eval_refined.json"));
         let mut files: Vec<String> = fs::read_dir(folder.path())
             .map(|entries| entries.flatten().map(|e| e.file_name().to_string_lossy().into_owned()).collect())
             .unwrap_or_default();
@@ -66,7 +69,8 @@ impl Results {
             poses,
             overlay,
             overlays,
-            scores: scores.and_then(|bytes| serde_json::from_slice(&bytes).ok()),
+            scores: scores("eval.json"),
+            refined_scores,
             files,
             problems,
         })

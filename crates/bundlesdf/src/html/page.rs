@@ -103,7 +103,13 @@ fn tiles(results: &Results) -> Markup {
     let total = report.frames.len();
     let found = report.count(Status::Tracked) + report.count(Status::Relocalised);
     let percent = if total == 0 { 0.0 } else { 100.0 * found as f64 / total as f64 };
-    let score = |key: &str| results.scores.as_ref()?.get(key)?.as_f64();
+    // What the page shows is the refinement's, if there was one.
+    let scores = results.refined_scores.or(results.scores);
+    let online = results.refined_scores.and(results.scores);
+    let against = |what: &str, before: Option<String>| match before {
+        Some(before) => format!("{what} against the truth; {before} while the video ran"),
+        None => format!("{what} against the truth"),
+    };
     html! {
         dl.tiles {
             (tile(&format!("{percent:.0}"), "%", &format!("of frames tracked, {} weak, {} lost",
@@ -118,9 +124,14 @@ fn tiles(results: &Results) -> Markup {
                     if report.mesh.watertight { "watertight" } else { "open where nothing was seen" }))
             }
             (tile(&format!("{:.1}", report.tracking_hz_median), "Hz", "tracking, median frame"))
-            @if let Some(add) = score("add") { (tile(&format!("{add:.1}"), "%", "ADD AUC against the truth")) }
-            @if let Some(add_s) = score("add_s") { (tile(&format!("{add_s:.1}"), "%", "ADD-S AUC against the truth")) }
-            @if let Some(cd) = score("cd_cm") { (tile(&format!("{cd:.2}"), "cm", "chamfer distance to the truth")) }
+            @if let Some(scores) = scores {
+                (tile(&format!("{:.1}", scores.add), "%", &against("ADD AUC", online.map(|s| format!("{:.1}", s.add)))))
+                (tile(&format!("{:.1}", scores.add_s), "%", &against("ADD-S AUC", online.map(|s| format!("{:.1}", s.add_s)))))
+                @if let Some(cd) = scores.cd_cm {
+                    (tile(&format!("{cd:.2}"), "cm",
+                        &against("chamfer distance", online.and_then(|s| s.cd_cm).map(|cd| format!("{cd:.2}")))))
+                }
+            }
         }
     }
 }
