@@ -28,6 +28,7 @@ mod ablation;
 pub mod canonical;
 pub mod checkpoint;
 pub mod config;
+mod coverage;
 mod depth;
 pub mod diagnostics;
 pub mod draw;

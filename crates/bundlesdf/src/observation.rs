@@ -206,6 +206,12 @@ impl Observation {
         (p[2] > 0.0).then_some((p, normal))
     }
 
+    /// Depth differences below this are noise at the object's distance (metres).
+    pub(crate) fn depth_tolerance(&self) -> f64 {
+        let depth = self.samples.first().map_or(0.5, |(p, _)| f64::from(p[2]));
+        (5.0 * depth::depth_sigma(depth)).max(0.006)
+    }
+
     /// About `count` evenly spread points (camera frame, metres) to compare with a field.
     pub(crate) fn sdf_points(&self, count: usize) -> Vec<[f32; 3]> {
         let step = self.samples.len().div_ceil(count.max(1)).max(1);

@@ -8,8 +8,12 @@ use serde::{Deserialize, Serialize};
 
 use crate::{
     config::{KeyframeRule, MemoryConfig},
+    coverage::unseen_share,
     observation::Observation,
 };
+
+/// Share of a keyframe's points that may go with it: noise at the rim of the mask and at steps.
+const MOST_LOST: f64 = 0.02;
 
 /// One remembered frame.
 #[derive(Clone, Debug)]
@@ -76,8 +80,8 @@ impl MemoryPool {
     }
 
     /// Position of the keyframe that `observation`, at `obj_from_cam` and no new view, does better than: the nearest,
-    /// which shows the same side within half the minimum angle, unless it is the anchor. No other is as near, so that
-    /// the pool covers what it did.
+    /// which shows the same side within half the minimum angle, unless it is the anchor. No other is as near, and what
+    /// this one alone shows the new frame shows too, so that the pool covers what it did.
     pub(crate) fn worse_view(
         &self,
         observation: &Observation,
@@ -90,7 +94,11 @@ impl MemoryPool {
         let (position, keyframe) = near.next().filter(|(position, _)| *position > 0)?;
         let is_alone = near.next().is_none();
         let better = || observation.quality().over(keyframe.observation.quality());
-        (is_alone && better() >= config.replace_ratio).then_some(position)
+        let others = self.keyframes.iter().enumerate().filter(|(other, _)| *other != position);
+        let without = others.map(|(_, k)| (&*k.observation, &k.obj_from_cam));
+        let views = std::iter::once((observation, obj_from_cam)).chain(without);
+        let lost = || unseen_share((&keyframe.observation, &keyframe.obj_from_cam), views);
+        (is_alone && better() >= config.replace_ratio && lost() <= MOST_LOST).then_some(position)
     }
 
     /// A pool of these keyframes, oldest first, and these matches, by frame index.
@@ -361,6 +369,34 @@ mod tests {
         let mut close = pool(&[poses[0], poses[1], pose(y, 11.0)], &config);
         close.keyframes_mut()[1].observation = bad;
         assert_eq!(close.worse_view(&good, &pose(y, 10.5), &config), None);
+    }
+
+    #[test]
+    fn a_keyframe_gives_way_only_to_what_shows_all_that_it_alone_shows() {
+        use crate::coverage::tests::{board, observed, turned};
+        let config = MemoryConfig::default();
+        let keyframe = |index: usize, deg: f64, part: [f64; 2], blur: usize| Keyframe {
+            index,
+            id: index.to_string(),
+            obj_from_cam: turned(deg),
+            refined_by_field: false,
+            observation: Arc::new(observed(&board(deg, part, blur))),
+        };
+        // The second is smeared, and alone shows the board's right end.
+        let two = vec![keyframe(0, 0.0, [-0.1, 0.05], 1), keyframe(1, 10.0, [-0.1, 0.1], 6)];
+        let mut three = two.clone();
+        three.push(keyframe(2, 20.0, [0.05, 0.1], 1));
+        let [two, three] = [two, three].map(|keyframes| MemoryPool::from_parts(keyframes, []));
+        let gives_way = |pool: &MemoryPool, part: [f64; 2]| {
+            let better = observed(&board(11.0, part, 1));
+            assert!(better.quality().over(pool.keyframes()[1].observation.quality()) > config.replace_ratio);
+            pool.worse_view(&better, &turned(11.0), &config)
+        };
+        assert_eq!(gives_way(&two, [-0.1, 0.1]), Some(1));
+        // The left end is shown by the first one as well.
+        assert_eq!(gives_way(&two, [-0.085, 0.1]), Some(1));
+        assert_eq!(gives_way(&two, [-0.1, 0.085]), None);
+        assert_eq!(gives_way(&three, [-0.1, 0.085]), Some(1));
     }
 
     #[test]

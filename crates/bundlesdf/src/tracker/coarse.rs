@@ -281,18 +281,12 @@ pub(super) fn relocalise(
         }
         let to_from = found.pose.inv_mul(&keyframe.obj_from_cam);
         let Agreement { overlap, inlier_share } =
-            depth_agreement(&keyframe.observation, observation, &to_from, agreement_tolerance(observation));
+            depth_agreement(&keyframe.observation, observation, &to_from, observation.depth_tolerance());
         if overlap >= MIN_OVERLAP && inlier_share >= MIN_AGREEMENT {
             best = Some(found);
         }
     }
     best
-}
-
-/// Depth differences below this are noise at the observation's distance (metres).
-pub(super) fn agreement_tolerance(observation: &Observation) -> f64 {
-    let depth = observation.samples.first().map_or(0.5, |(p, _)| f64::from(p[2]));
-    (5.0 * depth_sigma(depth)).max(0.006)
 }
 
 /// How well a pose of the new frame agrees with the depth of the keyframes nearest to it by swing angle.
@@ -307,7 +301,7 @@ pub(super) fn agreement_with_memory(
         let swing = |k: &crate::pool::Keyframe| swing_angle(&k.obj_from_cam.rotation, &pose.rotation);
         swing(a).total_cmp(&swing(b))
     });
-    let tolerance = agreement_tolerance(observation);
+    let tolerance = observation.depth_tolerance();
     let parts = nearest
         .iter()
         .take(COMPARED)
