@@ -25,8 +25,9 @@ const WEIGHED: f64 = 0.1;
 const UNWEIGHED: f64 = 1e-6;
 
 /// `obj_from_cam` of all keyframes of the request, started at `poses`, the first one held. With a `field` each keyframe
-/// is also drawn to where its training left it, as much as the field's surface determines it. `None` if the graph can't be
-/// built or solved.
+/// is also drawn to where its training left it, as much as the field's surface determines it. What nothing tells of a pose
+/// stays as the request has it: training turns a plain can about its axis, round by round towards the views beside it,
+/// until all sides that were seen are one. `None` if the graph can't be built or solved.
 pub(crate) fn optimise(
     request: &FieldRequest,
     poses: &[Isometry3<f64>],
@@ -34,7 +35,8 @@ pub(crate) fn optimise(
 ) -> Option<Vec<Isometry3<f64>>> {
     let options = request.graph.solve_options(field.is_some());
     let priors = field.map_or_else(Vec::new, |field| field_priors(request, field, &options));
-    Some(solve(&graph(request, (poses, poses), &priors)?, &options).ok()?.poses)
+    let held: Vec<_> = request.frames.iter().map(|(_, _, pose)| *pose).collect();
+    Some(solve(&graph(request, (poses, &held), &priors)?, &options).ok()?.poses)
 }
 
 /// As [`optimise`], but what no measurement tells of a pose stays as in `held`, and how much the field's poses count is
@@ -188,6 +190,31 @@ mod tests {
         let edges: Vec<_> = edges.collect();
         assert_eq!(edges.len(), 5);
         FieldRequest { round: Round::PoseGraph, graph: config.graph, edges, frames }
+    }
+
+    #[test]
+    fn a_turn_that_nothing_tells_stays_as_before_the_training() {
+        let config = Config::default();
+        let video = Sequence::named("symmetric").unwrap();
+        let frames: Vec<_> = (0..4)
+            .map(|k| {
+                let shot = video.render(4 * k);
+                let seen = Observation::new(4 * k, &shot.frame, &shot.visible_mask, &config).unwrap();
+                (4 * k, Arc::new(seen), shot.cam_from_obj.inverse())
+            })
+            .collect();
+        let truth: Vec<_> = frames.iter().map(|(_, _, pose)| *pose).collect();
+        let request =
+            FieldRequest { round: Round::PoseGraph, graph: config.graph, edges: Vec::new(), frames };
+        // The can's axis is y. Training has turned each view about it, and tilted it, by a degree more than the one before.
+        let off = |axis: Vector3<f64>, k: usize| Isometry3::rotation(axis * (k as f64).to_radians());
+        let trained: Vec<_> =
+            truth.iter().enumerate().map(|(k, t)| off(Vector3::y(), k) * off(Vector3::x(), k) * t).collect();
+        let poses = optimise(&request, &trained, None).unwrap();
+        for (pose, truth) in poses.iter().zip(&truth) {
+            let error = (pose * truth.inverse()).rotation.scaled_axis().map(f64::to_degrees);
+            assert!(error.y.abs() < 0.3 && error.x.hypot(error.z) < 0.5, "{error}");
+        }
     }
 
     /// Largest turn off the truth, degrees.
