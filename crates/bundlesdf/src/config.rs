@@ -137,8 +137,8 @@ pub struct MemoryConfig {
     pub min_swing_deg: f64,
     /// Fewest depth pixels of a keyframe, as a share of the first frame's.
     pub min_valid_share: f64,
-    /// A keyframe gives way to a frame of the same side that is this many times as good ([`Quality::over`]). Each time
-    /// that a side changes its keyframe the next has to be so much better again.
+    /// A keyframe gives way to a frame of the same side that is this many times as good ([`Quality::over`]), if nothing
+    /// is lost that it alone shows. Each time that a side changes its keyframe the next has to be so much better again.
     ///
     /// [`Quality::over`]: crate::Quality::over
     pub replace_ratio: f64,
