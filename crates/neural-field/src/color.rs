@@ -88,7 +88,7 @@ pub(crate) fn view_forward<R: Real, I: Isa>(model: &Model<'_, R>, rows: usize, s
         (rows, h, width),
         (&s.panel.view_in, width),
         (&model.flipped[first + (c0.inputs - width) * h..], h),
-        &mut Layer::<R, false> { bias: &model.weights[c0.bias()], y: &mut s.panel.view, ld: h },
+        &mut Layer::<R, false> { bias: &model.weights[c0.bias()], rows: 1, y: &mut s.panel.view, ld: h },
     );
 }
 
@@ -135,6 +135,7 @@ pub(crate) fn color_features<R: Real, I: Isa>(
         (&model.flipped[n.flipped().0.features], padded),
         &mut Layer::<R, false> {
             bias: &s.panel.feature_bias,
+            rows: 1,
             y: &mut s.color_in[panel.lanes(from, padded)],
             ld: padded,
         },
@@ -158,13 +159,13 @@ pub(crate) fn color_forward<R: Real, I: Isa>(
         (panel.width, h, n.features),
         (&s.color_in[panel.lanes(from, stride)], stride),
         (&model.flipped[flipped0], h),
-        &mut First { view: &s.panel.view, rows, y: &mut s.color_a[units.clone()], ld: h },
+        &mut Layer::<R, true> { bias: &s.panel.view, rows, y: &mut s.color_a[units.clone()], ld: h },
     );
     product_of_rows::<R, I>(
         (panel.width, h, h),
         (&s.color_a[units.clone()], h),
         (&model.flipped[flipped1], h),
-        &mut Layer::<R, true> { bias: &w[c1.bias()], y: &mut s.color_b[units.clone()], ld: h },
+        &mut Layer::<R, true> { bias: &w[c1.bias()], rows: 1, y: &mut s.color_b[units.clone()], ld: h },
     );
     let (weights, bias) = (&w[c2.weights()], &w[c2.bias()]);
     let rgb = &mut s.rgb[panel.among_central(from, 3)];
@@ -178,37 +179,18 @@ pub(crate) fn color_forward<R: Real, I: Isa>(
     }
 }
 
-/// The first layer with its ReLU, whose bias depends on the ray.
-struct First<'a, R> {
-    view: &'a [R],
-    rows: usize,
-    y: &'a mut [R],
-    ld: usize,
-}
-
-impl<R: Real> Target<R> for First<'_, R> {
-    #[inline(always)]
-    fn start<V: Lanes<R>, const N: usize>(&self, (i, j): (usize, usize)) -> [V; N] {
-        load_row(self.view, i % self.rows * self.ld + j)
-    }
-
-    #[inline(always)]
-    fn finish<V: Lanes<R>, const N: usize>(&mut self, at: (usize, usize), sums: &[[V; N]]) {
-        Layer::<R, true> { bias: &[], y: self.y, ld: self.ld }.finish(at, sums);
-    }
-}
-
-/// A layer of a panel, with a ReLU if `RELU`.
+/// A layer of a panel, with a ReLU if `RELU`; lane `l` has row `l % rows` of the bias.
 struct Layer<'a, R, const RELU: bool> {
     bias: &'a [R],
+    rows: usize,
     y: &'a mut [R],
     ld: usize,
 }
 
 impl<R: Real, const RELU: bool> Target<R> for Layer<'_, R, RELU> {
     #[inline(always)]
-    fn start<V: Lanes<R>, const N: usize>(&self, (_, j): (usize, usize)) -> [V; N] {
-        load_row(self.bias, j)
+    fn start<V: Lanes<R>, const N: usize>(&self, (i, j): (usize, usize)) -> [V; N] {
+        load_row(self.bias, i % self.rows * self.ld + j)
     }
 
     #[inline(always)]

@@ -56,7 +56,9 @@ pub(super) fn refine(args: &RefineArgs, log: Log) -> anyhow::Result<ExitCode> {
         }
         other => other?,
     };
-    write_refined_scores(&report, &folder, &refined)?;
+    if let Err(error) = write_refined_scores(&report, &folder, &refined) {
+        log.warning(&format!("not scored against the truth: {error}"));
+    }
     // The report shows this file: it must not be the mesh from before.
     if folder.path().join("mesh.glb").is_file() {
         export::at_the_end(&report, &folder, log);

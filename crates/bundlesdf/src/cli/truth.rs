@@ -12,9 +12,9 @@ use nalgebra::Isometry3;
 use rgbd_synth::Sequence;
 
 /// Scores of the run itself.
-pub(super) const ONLINE: &str = "eval.json";
+const ONLINE: &str = "eval.json";
 /// Scores after the refinement.
-pub(super) const REFINED: &str = "eval_refined.json";
+const REFINED: &str = "eval_refined.json";
 
 /// Scores the run, and its refinement if there was one, where the truth is known; the report shows these files.
 pub(super) fn write_scores(

@@ -7,8 +7,23 @@ use std::sync::Arc;
 
 #[derive(Clone, Copy, Debug)]
 pub enum Shape {
-    Sphere { radius: f64 },
-    Box { half: [f64; 3] },
+    Sphere {
+        radius: f64,
+    },
+    Box {
+        half: [f64; 3],
+    },
+    /// About the z axis.
+    Torus {
+        radius: f64,
+        tube: f64,
+    },
+    /// A cup open towards +y with a handle towards +x.
+    Mug {
+        radius: f64,
+        half_height: f64,
+        wall: f64,
+    },
 }
 
 impl Shape {
@@ -19,6 +34,19 @@ impl Shape {
             Self::Box { half } => {
                 let q: [f64; 3] = std::array::from_fn(|a| p[a].abs() - half[a]);
                 norm(q.map(|v| v.max(0.0))) + q[0].max(q[1]).max(q[2]).min(0.0)
+            }
+            Self::Torus { radius, tube } => (p[0].hypot(p[1]) - radius).hypot(p[2]) - tube,
+            Self::Mug { radius, half_height, wall } => {
+                let cylinder = |radius: f64, low: f64, high: f64| {
+                    let across = p[0].hypot(p[2]) - radius;
+                    let along = (low - p[1]).max(p[1] - high);
+                    across.max(0.0).hypot(along.max(0.0)) + across.max(along).min(0.0)
+                };
+                let cup = cylinder(*radius, -half_height, *half_height);
+                let hollow = cylinder(radius - wall, wall - half_height, 2.0 * half_height);
+                let handle = ((p[0] - radius).hypot(p[1]) - 0.6 * half_height).hypot(p[2]) - wall;
+                // The handle ends in the wall.
+                cup.max(-hollow).min(handle.max(-cylinder(radius - 0.5 * wall, -half_height, *half_height)))
             }
         }
     }
@@ -40,13 +68,30 @@ impl Shape {
                 }
                 (near < far && near > 0.0).then_some(near)
             }
+            Self::Torus { .. } | Self::Mug { .. } => self.march(o, d),
         }
+    }
+
+    /// First hit by sphere tracing (Hart 1996): no step is longer than the distance to the surface.
+    fn march(&self, o: [f64; 3], d: [f64; 3]) -> Option<f64> {
+        let (length, end) = (norm(d), norm(o) + self.extent());
+        let mut t = 0.0;
+        while t * length < end {
+            let distance = self.sdf(std::array::from_fn(|a| o[a] + t * d[a]));
+            if distance < 1e-6 {
+                return Some(t);
+            }
+            t += distance / length;
+        }
+        None
     }
 
     pub fn extent(&self) -> f64 {
         match self {
             Self::Sphere { radius } => 2.0 * radius,
             Self::Box { half } => 2.0 * half[0].max(half[1]).max(half[2]),
+            Self::Torus { radius, tube } => 2.0 * (radius + tube),
+            Self::Mug { half_height, .. } => 2.0 * half_height,
         }
     }
 }
